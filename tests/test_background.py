@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
+from f3sr import background
 from f3sr.background import BackgroundConfig, complete_background, patchmatch
 from f3sr.background.completion import CompletionConfig
 from f3sr.background.membrane import membrane
@@ -62,6 +63,26 @@ def diffused(rgb: Pixels, hole: Mask) -> Pixels:
     """What smooth filling gives at best: harmonic inside, as diffusion is."""
     values = membrane(rgb.astype(np.float32), ~hole)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def test_the_same_question_about_a_photo_is_answered_once(monkeypatch: pytest.MonkeyPatch):
+    photo, hole, other = Photo(rgb=stripes()), box((120, 160), 40, 60, 20, 20), box((120, 160), 10, 60, 20, 20)
+    table = box((120, 160), 50, 0, 70, 160)
+    asked: list[tuple[list[Mask], BackgroundConfig, Mask | None]] = [
+        *(([*masks], AS_GIVEN, None) for masks in ([hole], [other], [hole, other])),
+        ([hole], AS_GIVEN, table),
+        ([hole], AS_GIVEN, ~table),
+        ([hole], replace(AS_GIVEN, margin=0.05), None),
+    ]
+    first = [complete_background(photo, masks, config, support=support) for masks, config, support in asked]
+    for (masks, config, support), known in zip(asked, first, strict=True):
+        fresh = complete_background(Photo(rgb=photo.rgb), masks, config, support=support)
+        assert np.array_equal(fresh.rgb, known.rgb) and np.array_equal(fresh.replaced, known.replaced)
+        again = complete_background(photo, [mask.copy() for mask in masks], config, support=support)
+        monkeypatch.setattr(background, "complete", None)  # what is known needs no completion
+        assert complete_background(photo, masks, config, support=support) is again
+        monkeypatch.undo()
+        assert np.array_equal(again.rgb, known.rgb) and np.array_equal(again.replaced, known.replaced)
 
 
 def test_nothing_outside_the_hole_changes() -> None:

@@ -17,6 +17,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh, signed_volume
 from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_about
+from f3sr.lifting import boxes
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_boxes, fit_carved
 from f3sr.lifting.choice import EDGED, Choice, carries, choose, head
@@ -30,7 +31,7 @@ from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_lying, fit_standing
-from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved, subdivided
+from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, common, is_stable, joined, revolved, subdivided
 from f3sr.lifting.texture import textured
 from f3sr.lifting.turned_texture import quilted
 from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of, placed_as_seen
@@ -478,6 +479,27 @@ def test_what_is_carved_is_as_deep_as_wide_has_legs_and_covers_the_mask(yaw: flo
     assert is_stable(fit.solid)
     volume = signed_volume(fit.solid.vertices, fit.solid.faces)
     assert volume < 0.5 * wide * deep * high, "there is air between the legs"
+
+
+def test_of_all_mirror_images_the_best_is_taken_though_few_are_intersected(monkeypatch: pytest.MonkeyPatch):
+    true = table(np.array([0.1, 3.2, 0]), (0.8, 0.6, 0.5), 0.3)
+    mask = rasterizer.silhouette(LOW.to_camera(true.vertices), true.faces, LOW.K, LOW.width, LOW.height)
+    seen, tried = Outlined.of(mask, LOW), list[FittedShape]()
+
+    def noted(a: Solid, b: Solid) -> Solid | None:
+        made = common(a, b)
+        tried.extend([FittedShape.of("", made, seen)] if made else [])
+        return made
+
+    monkeypatch.setattr(boxes, "common", noted)
+    fast, few = found(fit_carved(seen, 0.0)), len(tried)
+    monkeypatch.setattr(Outlined, "most_overlap", lambda *_: 1.0)
+    every = found(fit_carved(seen, 0.0))
+    best = max(fit.overlap for fit in tried[few:])
+    assert len(tried) - few == 2 * len(boxes.TURNS) * len(boxes.SHIFTS) > 3 * few > 0
+    assert every.overlap == fast.overlap == best
+    assert np.array_equal(every.solid.vertices, fast.solid.vertices)
+    assert np.array_equal(every.solid.faces, fast.solid.faces)
 
 
 def painted(solid: Solid, colours: Sequence[tuple[float, tuple[int, int, int]]]) -> Photo:

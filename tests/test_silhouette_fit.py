@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Scene, SceneObject
@@ -54,3 +55,23 @@ def test_the_seed_has_the_yaw_it_was_given_and_stays_in_the_box() -> None:
     far = replace(fit, freedom=replace(fit.freedom, reach=np.array([0.1, 0.1, 1.0, 0, 0, 0.1])))
     assert fit.seed(0.3)[2] == pytest.approx(0.3)
     assert np.abs(far.seed(0.0)).max() == 1.0
+
+
+def test_distances_to_the_mask_are_found_for_a_search_only_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, measure = list[np.ndarray](), ndimage.distance_transform_edt
+
+    def noted(mask: np.ndarray) -> np.ndarray:
+        found.append(mask)
+        return measure(mask)
+
+    monkeypatch.setattr(ndimage, "distance_transform_edt", noted)
+    fit = fit_to(np.zeros(6))
+    assert fit.iou(np.zeros(6)) > 0.98 and not found
+    near = replace(fit, target=replace(fit.target, pulls=False))
+    for _ in range(2):
+        far, flat = fit.target.fields, near.target.fields
+    assert len(found) == 2, "inside and outside, for both"
+    outside = ~fit.target.mask
+    assert (far.mismatch[outside] > 1).all() and (flat.mismatch[outside] == 1).all()
+    assert np.array_equal(far.stiffness, flat.stiffness)
+    assert np.array_equal(far.mismatch[~outside], flat.mismatch[~outside])

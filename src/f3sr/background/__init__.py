@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval
@@ -74,8 +75,42 @@ def complete_background(
     rest are then completed each from itself, so the edge of a table goes on straight. ``filled`` completes the hole in
     place of patches: of the photo (h, w, 3) that it gives only the hole is used. Deterministic. If no patch of the
     photo is free of objects, light is spread smoothly from the rest, and a Decision says so.
+
+    The last result without ``filled`` is known as long as the photo is held: lifting and pictures ask for the same.
     """
-    config = config or BackgroundConfig()
+    asked = _Question(masks=tuple(masks), config=config or BackgroundConfig(), support=support)
+    if filled is not None:
+        return _completed(photo, asked, filled)
+    last = _LAST.get(photo)
+    if last is None or not last[0].equals(asked):
+        _LAST[photo] = last = asked, _completed(photo, asked, None)
+    return last[1]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Question:
+    """What the background of a photo depends on."""
+
+    masks: tuple[Mask, ...]
+    config: BackgroundConfig
+    support: Mask | None
+
+    def equals(self, other: _Question) -> bool:
+        """Whether both have one answer."""
+        if self.config != other.config or len(self.masks) != len(other.masks):
+            return False
+        if self.support is None or other.support is None:
+            alike = self.support is other.support
+        else:
+            alike = np.array_equal(self.support, other.support)
+        return alike and all(map(np.array_equal, self.masks, other.masks))
+
+
+_LAST: WeakKeyDictionary[Photo, tuple[_Question, Background]] = WeakKeyDictionary()
+
+
+def _completed(photo: Photo, asked: _Question, filled: Fill | None) -> Background:
+    masks, config, support = asked.masks, asked.config, asked.support
     h, w = photo.height, photo.width
     picture = _logarithms(photo.rgb)
     taken = widened(masks, config.margin) if masks else np.zeros((h, w), np.bool_)

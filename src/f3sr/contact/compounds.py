@@ -345,18 +345,24 @@ def _near(a: Arrays, b: Arrays, reach: float) -> NDArray[np.int64]:
 @kernel
 def _shift(a: Arrays, b: Arrays, u: Array, clearance: float) -> float:
     """See ``smallest_shift``."""
-    pairs, starts = np.empty((len(a.boxes) * len(b.boxes), 2), np.int64), np.empty(len(a.boxes) * len(b.boxes))
-    found = _meeting(a.boxes, b.boxes, u, -clearance, pairs, starts)
+    size = len(a.boxes) * len(b.boxes)
+    pairs, starts, ends = np.empty((size, 2), np.int64), np.empty(size), np.empty(size)
+    found = _meeting(a.boxes, b.boxes, u, -clearance, pairs, starts, ends)
+    order = np.arange(found)
+    sort_kernel(-ends, order, np.empty((DEPTH, 2), np.int64))
     known, low, high = np.zeros(found, np.bool_), np.empty(found), np.empty(found)
     t = 0.0
-    # A pair matters once t is past the start of its boxes' overlap. t jumps to the ends of intervals that hold it.
+    # A pair matters once t is past the start of its boxes' overlap, and while that may end behind what is known. t
+    # jumps to the ends of intervals that hold it. Those whose boxes overlap longest come first: they spare the others.
     while True:
         end = t
-        for k in range(found):
+        for k in order:
+            if ends[k] + clearance <= end:
+                break
             if starts[k] >= t:
                 continue
             if not known[k]:
-                low[k], high[k] = _interval(a, pairs[k, 0], b, pairs[k, 1], u, t - clearance, np.inf)
+                low[k], high[k] = _interval(a, pairs[k, 0], b, pairs[k, 1], u, end - clearance, np.inf)
                 known[k] = True
             if low[k] < t:
                 end = max(end, high[k] + clearance)
@@ -368,8 +374,9 @@ def _shift(a: Arrays, b: Arrays, u: Array, clearance: float) -> float:
 @kernel
 def _travel(a: Arrays, b: Arrays, u: Array) -> float:
     """See ``free_travel``."""
-    pairs, starts = np.empty((len(a.boxes) * len(b.boxes), 2), np.int64), np.empty(len(a.boxes) * len(b.boxes))
-    found = _meeting(a.boxes, b.boxes, u, 0.0, pairs, starts)
+    size = len(a.boxes) * len(b.boxes)
+    pairs, starts, ends = np.empty((size, 2), np.int64), np.empty(size), np.empty(size)
+    found = _meeting(a.boxes, b.boxes, u, 0.0, pairs, starts, ends)
     order = np.arange(found)
     sort_kernel(starts, order, np.empty((DEPTH, 2), np.int64))
     t = np.inf
@@ -382,9 +389,10 @@ def _travel(a: Arrays, b: Arrays, u: Array) -> float:
 
 
 @inner_kernel
-def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64], starts: Array) -> int:
+def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64], starts: Array, ends: Array) -> int:
     """Swept broad phase: fill ``pairs`` (n m, 2) with those of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift
-    t > ``beyond`` of the first along u, and ``starts`` (n m,) with the t from which on; returns how many."""
+    t > ``beyond`` of the first along u, ``starts`` and ``ends`` (n m,) with the t between which they do; returns how
+    many."""
     k = 0
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for i in range(len(a)):
@@ -401,7 +409,7 @@ def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int6
                 if first >= last or last <= beyond:
                     break
             if first < last and last > beyond:
-                pairs[k, 0], pairs[k, 1], starts[k] = i, j, first
+                pairs[k, 0], pairs[k, 1], starts[k], ends[k] = i, j, first, last
                 k += 1
     return k
 

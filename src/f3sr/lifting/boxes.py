@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -56,6 +56,9 @@ SYMMETRY = 0.03
 would be lost by the wrong plane."""
 TURNS, SHIFTS = np.radians([-8, -4, 0, 4, 8]), (-0.06, 0.0, 0.06)
 """Turns [rad] and shifts [sides of the box] of its planes of symmetry that are tried: the box is of a convex hull."""
+ROUNDING = 1e-3
+"""IoU by which a solid may exceed its bound: intersections are made in single precision, pixels on an outline may
+change."""
 
 
 RING_CORNERS = np.repeat([[-1, -1], [1, -1], [1, 1], [-1, 1]], ARC, axis=0)
@@ -230,20 +233,35 @@ def fit_carved(seen: Outlined, floor: float) -> FittedShape | None:
         return None
     fit = FittedShape.of("carved box", solid, seen)
     if seen.solidity < COMPACT_MASK:
-        halves = [_mirror_symmetric(fit, box[k] - box[0], box.mean(0), seen) for k in (1, 2)]
-        half = max(halves, key=lambda f: f.overlap)
-        fit = half if half.overlap >= fit.overlap - SYMMETRY else fit
+        fit = _mirror_symmetric(fit, box, seen) or fit
     return replace(fit, solid=finer(fit.solid, float(np.ptp(box, axis=0).max()) / CUTS))
 
 
-def _mirror_symmetric(fit: FittedShape, axis: Array, middle: Array, seen: Outlined) -> FittedShape:
-    """What a shape and its mirror image have in common, for the upright plane about ``middle`` (3,) across ``axis``
-    (3,) that leaves most of the mask."""
-    found = [replace(fit, overlap=0.0)]
-    size, along = float(np.linalg.norm(axis)), math.atan2(axis[1], axis[0])
-    for turn in TURNS:
-        normal = np.array([math.cos(along + turn), math.sin(along + turn), 0.0])
-        for shift in SHIFTS:
-            solid = common(fit.solid, mirrored(fit.solid, normal, float(normal @ middle) + shift * size))
-            found += [FittedShape.of(fit.family, solid, seen)] if solid else []
-    return max(found, key=lambda f: f.overlap)
+def _mirror_symmetric(fit: FittedShape, box: Array, seen: Outlined) -> FittedShape | None:
+    """What a shape and its mirror image have in common, for the upright plane along a side of its ``box`` (8, 3) that
+    leaves most of the mask; None where the best one loses more than ``SYMMETRY``.
+
+    Branch and bound: what is in both shows only where both show, and drawing takes a hundredth of intersecting."""
+    images = [mirrored(fit.solid, normal, offset) for normal, offset in _symmetry_planes(box)]
+    shown = seen.silhouette(fit.solid.vertices, fit.solid.faces)
+    most = [seen.most_overlap(shown & seen.silhouette(image.vertices, image.faces)) for image in images]
+    best, least, best_k = None, fit.overlap - SYMMETRY, len(images)
+    for k in sorted(range(len(images)), key=lambda k: -most[k]):
+        if most[k] + ROUNDING < least:
+            break
+        solid = common(fit.solid, images[k])
+        found = FittedShape.of(fit.family, solid, seen) if solid else None
+        if found and (found.overlap, -k) >= (least, -best_k):  # of equal ones the first plane's
+            best, least, best_k = found, found.overlap, k
+    return best
+
+
+def _symmetry_planes(box: Array) -> Iterator[tuple[Array, float]]:
+    """Normals (3,) and offsets [m] of upright planes about the middle of a box (8, 3), along either pair of sides."""
+    middle = box.mean(0)
+    for axis in (box[1] - box[0], box[2] - box[0]):
+        size, along = float(np.linalg.norm(axis)), math.atan2(axis[1], axis[0])
+        for turn in TURNS:
+            normal = np.array([math.cos(along + turn), math.sin(along + turn), 0.0])
+            for shift in SHIFTS:
+                yield normal, float(normal @ middle) + shift * size

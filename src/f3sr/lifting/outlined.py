@@ -71,6 +71,11 @@ class Outlined:
         """IoU of a mesh, vertices (n, 3) in the world, with the mask, where it is valid."""
         return iou(self.silhouette(vertices, faces), self.mask, self.valid)
 
+    def most_overlap(self, shown: NDArray[np.bool_]) -> float:
+        """The largest IoU that a shape can have which shows in no other pixels than ``shown`` (h, w)."""
+        whole = int(np.count_nonzero(self.mask & self.valid))
+        return np.count_nonzero(shown & self.mask & self.valid) / whole if whole else 0.0
+
     def silhouette(self, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
         """(h, w) in the window."""
         camera = self.camera

@@ -91,12 +91,7 @@ class InstancesFit:
 
     def without_distances(self) -> InstancesFit:
         """The same where a silhouette pays alike for every pixel outside its mask, near or far."""
-
-        def alike(t: Target) -> Target:
-            mismatch = np.where(t.mask, np.float32(-1), np.float32(1))
-            return replace(t, fields=replace(t.fields, mismatch=mismatch))
-
-        return replace(self, targets=tuple(map(alike, self.targets)))
+        return replace(self, targets=tuple(replace(t, pulls=False) for t in self.targets))
 
     def objective(self, u: Array, term: Term) -> Local:
         """The mean of ``term`` over objects at u (6,), with derivatives by u."""

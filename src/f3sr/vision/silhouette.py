@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -57,11 +58,25 @@ class LossWeights:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Outline:
+    """The distances of pixels from a mask's outline, found when they are first asked for."""
+
+    mask: Mask
+
+    @cached_property
+    def distances(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(h, w) [px]: to the mask from outside, and to its complement from inside; one of both is 0 everywhere."""
+        from scipy.ndimage import distance_transform_edt
+
+        outside, inside = (np.asarray(distance_transform_edt(m), np.float32) for m in (~self.mask, self.mask))
+        return outside, inside
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Target:
     """A mask prepared for comparison: what the losses need of it, computed once.
 
-    ``mask``, ``valid`` (h, w); ``area`` [px] and ``centroid`` (2,) [px] are of the valid mask; ``fields`` are what is
-    integrated over a silhouette.
+    ``mask``, ``valid`` (h, w); ``area`` [px] and ``centroid`` (2,) [px] are of the valid mask.
     """
 
     mask: Mask
@@ -69,38 +84,43 @@ class Target:
     area: float
     centroid: Array
     weights: LossWeights
-    fields: silhouette_integrals.Fields
+    outline: Outline
+    pulls: bool = True
+    """Whether pixels outside of the mask cost more, the farther they are."""
 
     @classmethod
     def of(cls, mask: Mask, valid: Mask | None = None, weights: LossWeights | None = None) -> Target:
-        """``valid`` (h, w), everywhere by default, is where a silhouette is compared with the mask.
-
-        D is the distance to the mask over the longer image side (0 inside). The L1 and distance terms of a silhouette S
-        are a constant plus the sum over S of ``valid (1 - 2 mask + lambda_dt D)``. At a distance d from the mask's
-        outline the L1 term has the curvature of |d|: 1 / |d| (iteratively reweighted squares), |d| at least a pixel.
-        Outside, the distance term has the curvature lambda_dt over the longer side.
-        """
-        from scipy.ndimage import distance_transform_edt
-
+        """``valid`` (h, w), everywhere by default, is where a silhouette is compared with the mask."""
         valid = np.ones_like(mask) if valid is None else valid
-        weights = weights or LossWeights()
-        # Distances [px] to the mask from outside and to its complement from inside; one of the two is 0 everywhere.
-        outside, inside = (np.asarray(distance_transform_edt(m), np.float32) for m in (~mask, mask))
-        leak = np.float32(weights.distance / max(mask.shape))
-        # Their sum is the distance |d| to the mask's outline.
-        stiffness = 1 / np.maximum(outside + inside, 1) + np.where(mask, np.float32(0), leak)
         visible = mask & valid
         return cls(
             mask=mask,
             valid=valid,
             area=float(max(np.count_nonzero(visible), 1)),
             centroid=centroid(visible),
-            weights=weights,
-            fields=silhouette_integrals.Fields(
-                valid=valid.astype(np.float32),
-                mismatch=(valid * (1 - 2 * mask.astype(np.float32) + leak * outside)).astype(np.float32),
-                stiffness=(valid * stiffness).astype(np.float32),
-            ),
+            weights=weights or LossWeights(),
+            outline=Outline(mask=mask),
+        )
+
+    @cached_property
+    def fields(self) -> silhouette_integrals.Fields:
+        """What is integrated over a silhouette. Many targets are only compared with one: they need no distances.
+
+        D is the distance to the mask over the longer image side (0 inside). The L1 and distance terms of a silhouette S
+        are a constant plus the sum over S of ``valid (1 - 2 mask + lambda_dt D)``. At a distance d from the mask's
+        outline the L1 term has the curvature of |d|: 1 / |d| (iteratively reweighted squares), |d| at least a pixel.
+        Outside, the distance term has the curvature lambda_dt over the longer side.
+        """
+        mask, valid = self.mask, self.valid
+        outside, inside = self.outline.distances
+        leak = np.float32(self.weights.distance / max(mask.shape))
+        pull = leak if self.pulls else np.float32(0)
+        # The sum of both is the distance |d| to the mask's outline.
+        stiffness = 1 / np.maximum(outside + inside, 1) + np.where(mask, np.float32(0), leak)
+        return silhouette_integrals.Fields(
+            valid=valid.astype(np.float32),
+            mismatch=(valid * (1 - 2 * mask.astype(np.float32) + pull * outside)).astype(np.float32),
+            stiffness=(valid * stiffness).astype(np.float32),
         )
 
 
