@@ -8,11 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from f3sr.errors import InputError
 from f3sr.files import strict_json
-from f3sr.play.conversation import SLOWEST
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
-Slow = Annotated[float, Field(ge=1, le=SLOWEST, allow_inf_nan=False)]
+Slow = Annotated[float, Field(ge=1, le=8, allow_inf_nan=False)]
 MOST_NAMES = 40
 """Formats or engines of one job: more than there are."""
 
