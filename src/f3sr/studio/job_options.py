@@ -45,6 +45,8 @@ class PlayOptions(JobOptions):
     kind = "play"
     goal: Annotated[str, Field(min_length=1, max_length=500)]
     slow: Slow = 1.0
+    model: Name | None = None
+    """Language model that plans instead of the rules, as openai:NAME; its key is in the environment."""
     samples: Annotated[int, Field(ge=0, le=100)] = 0
     """Also played in so many samples of the scene."""
 

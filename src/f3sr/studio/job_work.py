@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from f3sr import pipeline
+from f3sr.agents.played_by_model import Agent
 from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.certificate.certification import certify
 from f3sr.delivery import deliver
@@ -124,7 +125,8 @@ def _tell(job: JobFolder, report: Report) -> None:
 def _play(options: PlayOptions, project: Project, progress: Progress) -> dict[str, Any]:
     package, start = read_package(project.package), time.perf_counter()
     with timed("search for a launch that does it", progress):
-        played = simulate_goal(package, options.goal)
+        agent = Agent.of(options.model) if options.model else None
+        played = agent.simulate(package, options.goal) if agent else simulate_goal(package, options.goal)
     if isinstance(played, Refusal):
         return telling(options.goal, played, None, time.perf_counter() - start, replayed=False)
     told = _written(options.goal, played, project, options.slow, progress, replayed=False)

@@ -73,6 +73,7 @@ class ProjectFiles:
             "scene": bool(self.version),
             "version": self.version,
             "options": project.options,
+            "remarks": list(project.remarks),
             "exported": project.exported.is_dir(),
             "certified": project.certificate.is_dir(),
         }

@@ -10,7 +10,7 @@ import secrets
 import shutil
 import time
 import unicodedata
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,7 +42,7 @@ MAX_FILES, MAX_BYTES, MAX_DEPTH = 20_000, 20_000_000_000, 20
 JPEG = b"\xff\xd8\xff"
 EXAMPLE = "Example"
 
-Origin = Literal["photo", "example", "input folder", "package"]
+Origin = Literal["photo", "example", "input folder", "package", "import"]
 
 
 class _ProjectRecord(BaseModel):
@@ -58,6 +58,8 @@ class _ProjectRecord(BaseModel):
     photo: Literal["", "photo.png", "photo.jpg"] = ""
     options: dict[str, Any] = {}
     """Of the last run."""
+    remarks: list[Annotated[str, Field(max_length=2000)]] = []
+    """What was assumed when another program's folder was read."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Project:
     photo: Path | None = None
     """The file that was uploaded; None where the project began with a folder."""
     options: dict[str, Any] = field(default_factory=dict[str, Any])
+    remarks: tuple[str, ...] = ()
     problem: str = ""
 
     @property
@@ -165,10 +168,12 @@ class Workspace:
         return self._copied(EXAMPLE, "example", example.folder(), "input")
 
     def create_folder(self, source: Path) -> Project:
-        """A project of a copy of an input folder or a package. Raises InputError for anything else."""
+        """A project of a copy of an input folder or a package, or of what another program left (docs: importing).
+
+        Raises InputError for anything else."""
         source = Path(source).expanduser().absolute()
-        accepted = f"{INPUT_FOLDER}, or {PACKAGE}"
-        if not source.is_dir():
+        accepted = f"{INPUT_FOLDER}, {PACKAGE}, or what another program left"
+        if not source.is_dir() and source.suffix.lower() != ".glb":
             raise InputError(source, found="a file" if source.exists() else "nothing there", accepted=accepted)
         if self.folder.is_relative_to(source) or source.is_relative_to(self.folder):
             raise InputError(source, found="the workspace itself", accepted="a folder outside it")
@@ -176,7 +181,7 @@ class Workspace:
             return self._copied(source.name, "package", source, "package")
         if (source / MASKS).is_dir():
             return self._copied(source.name, "input folder", source, "input")
-        raise InputError(source, found="neither masks nor a scene.json", accepted=accepted)
+        return self._imported(source)
 
     def keep_options(self, project: Project, options: dict[str, Any]) -> None:
         """Remember the options of a run for the next one."""
@@ -199,25 +204,35 @@ class Workspace:
             return folder
         raise InputError("the project", found=cut(repr(id[:80])), accepted="one of the workspace's")
 
+    def _imported(self, source: Path) -> Project:
+        from f3sr.importing.import_source import ImportSource
+        from f3sr.importing.scene_import import import_output
+
+        remarks = list[str]()
+        with self._made(source.stem, "import", remarks=remarks) as folder:
+            found = import_output(ImportSource(path=source), folder / "input")
+            remarks += [f"read as {found.source}, masks {found.masks}, poses {found.poses}", *found.remarks]
+            remarks += [f"left out: {item.label or item.id}; {item.reason}" for item in found.left_out]
+        return _read(self._at(folder))
+
     def _copied(self, name: str, origin: Origin, source: Path, inside: str) -> Project:
         with self._made(name, origin) as folder:
             _copy(source, folder / inside)
         return _read(self._at(folder))
 
     @contextmanager
-    def _made(self, name: str, origin: Origin, photo: str = "") -> Generator[Path]:
+    def _made(self, name: str, origin: Origin, photo: str = "", remarks: Sequence[str] = ()) -> Generator[Path]:
         """A folder that becomes a project if the block ends well, and vanishes otherwise."""
         places = self.folder / PROJECTS
         if sum(map(_is_project, places.iterdir())) >= MOST_PROJECTS:
             raise OutputError(f"{places}: has {MOST_PROJECTS} projects; delete some")
         shown = _shown_name(name)
-        record = _ProjectRecord.model_validate(
-            {"name": shown, "origin": origin, "created": time.time(), "photo": photo}
-        )
         folder = places / f"{NEW}{_slug(shown)}-{secrets.token_hex(4)}"
         try:
             folder.mkdir()
             yield folder
+            known = {"name": shown, "origin": origin, "created": time.time(), "photo": photo}
+            record = _ProjectRecord.model_validate({**known, "remarks": [cut(r) for r in remarks]})
             write_whole(folder / RECORD, record.model_dump_json(indent=1).encode())
             folder.rename(self._at(folder))
         except OSError as error:
@@ -274,7 +289,7 @@ def _read(folder: Path) -> Project:
     except F3srError as error:
         return Project(folder, problem=str(error))
     photo = folder / record.photo if record.photo else None
-    return Project(folder, _shown_name(record.name), record.created, photo, record.options)
+    return Project(folder, _shown_name(record.name), record.created, photo, record.options, tuple(record.remarks))
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -99,7 +99,7 @@ export const play = {
       const goal = $("goal").value.trim();
       if (!goal) return $("goal").focus();
       busy($("play-start"), async () => {
-        const made = await ask("jobs", { kind: "play", options: { goal, slow: Number($("play-slow").value), samples: Number($("play-samples").value) } });
+        const made = await ask("jobs", { kind: "play", options: { goal, slow: Number($("play-slow").value), samples: Number($("play-samples").value), ...($("play-model").value.trim() ? { model: $("play-model").value.trim() } : {}) } });
         await follow(project, made.id);
       });
     });

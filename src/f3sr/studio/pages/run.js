@@ -94,6 +94,7 @@ export const run = {
   },
   changed({ state }) {
     $("run-what").textContent = state.outlined ? `${state.masks} ${state.masks === 1 ? "object is" : "objects are"} outlined.` : "Nothing is outlined yet.";
+    $("run-remarks").replaceChildren(...state.remarks.map((text) => element("li", { text })));
     $("run-start").disabled = !state.outlined;
     $("run-start").textContent = state.scene ? "Make it again" : "Make the scene";
     $("run-next").hidden = !state.scene || job !== null;
