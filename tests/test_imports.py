@@ -152,7 +152,7 @@ def test_warming_up_calls_every_module_that_can_be(monkeypatch: pytest.MonkeyPat
 
 TESTS = Path(__file__).parent
 BENCHMARKS = TESTS.parent / "benchmarks"
-TOPICS = {"docs", "durability", "forked", "imports", "limits", "memory", "prose", "referee"}
+TOPICS = {"docs", "durability", "forked", "imports", "limits", "memory", "prose", "referee", "studio_pages"}
 """Subjects of tests that no single module or folder has."""
 
 

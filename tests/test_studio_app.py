@@ -202,7 +202,7 @@ def test_a_scene_is_shown_edited_undone_and_written(server: StudioServer, scene:
     poses = [{o["id"]: o["pose"] for o in state["objects"]} for state in (before, after)]
     assert poses[1][2][3] - poses[0][2][3] == pytest.approx(0.05, abs=2e-3)
     assert all(poses[0][k] == poses[1][k] for k in (0, 1, 3))
-    assert after["edits"] == ["2 brick: moved by 5.0, 0.0, 0.0 cm along x, y and z"]
+    assert after["edits"] == ["brick: moved by 5.0, 0.0, 0.0 cm along x, y and z"]
 
     project = server.workspace.project(scene.split("/")[1])
     assert json.loads(project.edits.read_text())["edits"][0]["by"] == [0.05, 0.0, 0.0]

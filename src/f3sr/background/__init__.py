@@ -78,7 +78,7 @@ def complete_background(
 
     The last result without ``filled`` is known as long as the photo is held: lifting and pictures ask for the same.
     """
-    asked = _Question(masks=tuple(masks), config=config or BackgroundConfig(), support=support)
+    asked = _AskedCompletion(masks=tuple(masks), config=config or BackgroundConfig(), support=support)
     if filled is not None:
         return _completed(photo, asked, filled)
     last = _LAST.get(photo)
@@ -88,14 +88,14 @@ def complete_background(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Question:
+class _AskedCompletion:
     """What the background of a photo depends on."""
 
     masks: tuple[Mask, ...]
     config: BackgroundConfig
     support: Mask | None
 
-    def equals(self, other: _Question) -> bool:
+    def equals(self, other: _AskedCompletion) -> bool:
         """Whether both have one answer."""
         if self.config != other.config or len(self.masks) != len(other.masks):
             return False
@@ -106,10 +106,10 @@ class _Question:
         return alike and all(map(np.array_equal, self.masks, other.masks))
 
 
-_LAST: WeakKeyDictionary[Photo, tuple[_Question, Background]] = WeakKeyDictionary()
+_LAST: WeakKeyDictionary[Photo, tuple[_AskedCompletion, Background]] = WeakKeyDictionary()
 
 
-def _completed(photo: Photo, asked: _Question, filled: Fill | None) -> Background:
+def _completed(photo: Photo, asked: _AskedCompletion, filled: Fill | None) -> Background:
     masks, config, support = asked.masks, asked.config, asked.support
     h, w = photo.height, photo.width
     picture = _logarithms(photo.rgb)

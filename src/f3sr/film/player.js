@@ -12,6 +12,9 @@
   film.controls = false;
   $("controls").hidden = false;
   slider.disabled = false;
+  const framed = parent !== window; // in another page, which knows the goal and gives as much height as is needed
+  document.documentElement.classList.toggle("framed", framed);
+  if (framed) new ResizeObserver(() => parent.postMessage({ height: document.documentElement.scrollHeight }, "*")).observe(document.body);
 
   // --- the rollout ----------------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +15,7 @@ from f3sr.edits.unedited import read_edited
 from f3sr.errors import F3srError, InputError
 from f3sr.files import strict_json
 from f3sr.io.images import encode_png
+from f3sr.language.reference_resolution import names
 from f3sr.physics.mujoco_model import body_of
 from f3sr.runtime.atomic_file import write_whole
 from f3sr.runtime.daemon_thread import begun
@@ -144,7 +145,7 @@ class EditedScene:
     def _of_package(self, package: Package) -> dict[str, Any]:
         decisions = _decisions(_report(package))
         return {
-            "objects": [_told(o, None, decisions.get(o.id, [])) for o in package.scene],
+            "objects": [_told(o, None, decisions.get(o.id, []), names(package.scene)) for o in package.scene],
             "measures": package.document.metrics,
             "edits": [edit_in_words(e) for e in self._written],
             "undo": bool(self._written),
@@ -156,8 +157,9 @@ class EditedScene:
         session, outcome = self._session, self._session.outcome
         stages = [*session.unedited.report.get("stages", []), asdict(session.report)]
         decisions, known = _decisions(stages), {o.id: o.IoU_visible for o in outcome.details.objects}
+        called = names(session.scene)
         return {
-            "objects": [_told(o, known.get(o.id), decisions.get(o.id, [])) for o in session.scene],
+            "objects": [_told(o, known.get(o.id), decisions.get(o.id, []), called) for o in session.scene],
             "measures": outcome.measures.as_dict(),
             "edits": [edit_in_words(e) for e in session.edits],
             "undo": session.can_undo,
@@ -210,7 +212,7 @@ def _decisions(stages: Sequence[Any]) -> dict[int, list[dict[str, Any]]]:
 
 def edit_in_words(edit: Edit) -> str:
     """An edit as the list on the page says it."""
-    name = f"{edit.id} {edit.label}".strip()
+    name = edit.label or f"object {edit.id}"
     match edit.kind:
         case "move":
             return f"{name}: moved by {_centimetres(edit.by)} cm along x, y and z"
@@ -238,11 +240,15 @@ def _centimetres(way: tuple[float, float, float]) -> str:
     return ", ".join(f"{100 * c:.1f}" for c in way)
 
 
-def _told(o: SceneObject, iou: float | None, decisions: list[dict[str, Any]]) -> dict[str, Any]:
+def _told(
+    o: SceneObject, iou: float | None, decisions: list[dict[str, Any]], called: Mapping[int, str]
+) -> dict[str, Any]:
+    """``called``: words that select each object and nothing else, as goals use them."""
     low, high = o.bounds_world
     return {
         "id": o.id,
         "label": clean(o.label),
+        "name": clean(called[o.id]),
         "pose": _rows(o.T_world_asset),
         "center": ((low + high) / 2).tolist(),
         "size": (high - low).tolist(),

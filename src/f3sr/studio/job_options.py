@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from f3sr.errors import InputError
 from f3sr.files import strict_json
+from f3sr.io.photo_hints import PhotoHints, known_of
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
@@ -37,6 +38,12 @@ class ReconstructOptions(JobOptions):
     """Focal length [px] of the upright photo."""
     camera_height: Positive | None = None
     """Of the camera above what the objects stand on [m]."""
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        """Lengths that no scene has are refused before anything is begun."""
+        PhotoHints(focal=self.focal, camera_height=self.camera_height, known=known_of(self.known))
+        return self
 
 
 class PlayOptions(JobOptions):

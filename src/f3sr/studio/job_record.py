@@ -145,7 +145,7 @@ class JobFolder:
         record = self.record
         if record.state == "running" and (end := self.end):
             record = ended(record, end)
-        return {"id": self.id, **record.model_dump(include={"kind", "state", "problem", "result"})}
+        return {"id": self.id, **record.model_dump(include={"kind", "options", "state", "problem", "result"})}
 
     # --- events ------------------------------------------------------------------------------------------------------
 

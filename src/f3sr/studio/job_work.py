@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from f3sr.certificate.certification import certify
 from f3sr.delivery import deliver
 from f3sr.edits import deliver_edited, read_edits
 from f3sr.errors import F3srError, InputError
+from f3sr.files import strict_json
 from f3sr.film.studio import FilmConfig, film_played
 from f3sr.goals.file_names import PLAN
 from f3sr.goals.refusal import Refusal
@@ -102,6 +104,7 @@ def _reconstruct(job: JobFolder, options: ReconstructOptions, project: Project, 
             _tell(job, session.report)
         else:
             deliver(result, project.package, overwrite=True, progress=progress)
+    project.outlines_changed.unlink(missing_ok=True)
     return {"measures": result.evaluation.result.as_dict() if result.evaluation else {}}
 
 
@@ -148,7 +151,15 @@ def _vary(options: VaryOptions, project: Project, progress: Progress) -> dict[st
     plan = varied(read_plan(folder / PLAN), speed=options.speed, turn=math.radians(options.turn))
     with timed("play it", progress):
         played = replay_plan(read_package(project.package), plan)
-    return _written(plan.goal, played, project, options.slow, progress, replayed=True)
+    told = _written(plan.goal, played, project, options.slow, progress, replayed=True)
+    before = project.rollouts / f"{options.rollout}.json"
+    speed, turn = 1.0, 0.0
+    if before.exists():  # of what was itself varied
+        known = strict_json.read(before, most=1000, accepted="a variation")
+        speed, turn = float(known["speed"]), float(known["turn"])
+    varied_by = {"of": options.rollout, "speed": speed * options.speed, "turn": turn + options.turn}
+    write_whole(project.rollouts / f"{told['rollout']}.json", json.dumps(varied_by).encode())
+    return told
 
 
 def _written(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import stat
 import zipfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -56,6 +58,7 @@ class ProjectFiles:
         return {
             "id": project.id,
             "name": project.name,
+            "created": project.created,
             "state": state,
             "picture": True,
             "rollouts": len(self._numbers()),
@@ -73,6 +76,7 @@ class ProjectFiles:
             "scene": bool(self.version),
             "version": self.version,
             "options": project.options,
+            "outdated": bool(self.version) and project.outlines_changed.exists(),
             "remarks": list(project.remarks),
             "exported": project.exported.is_dir(),
             "certified": project.certificate.is_dir(),
@@ -85,6 +89,10 @@ class ProjectFiles:
     def strip(self, number: int) -> Path:
         """The key frames of a rollout. Raises InputError where it has none."""
         return self.inside(f"rollouts/{number}/{STRIP}")
+
+    def film(self, number: int) -> Path:
+        """The film of a rollout. Raises InputError where it has none."""
+        return self.inside(f"rollouts/{number}/{FILM}")
 
     def inside(self, path: str) -> Path:
         """A file that pages may show. Raises InputError for any other path, and for links out of the project."""
@@ -125,10 +133,27 @@ class ProjectFiles:
         try:
             plan = strict_json.read(place / PLAN, most=MAX_JSON, accepted="a plan")
             verdict = strict_json.read(place / VERDICT, most=MAX_JSON, accepted="a verdict")
-            goal, met = str(plan["goal"]), verdict["met"] is True
+            goal, met, said = str(plan["goal"]), verdict["met"] is True, str(verdict.get("said", ""))
         except (F3srError, OSError, KeyError, TypeError):
             return None
-        return {"number": number, "goal": goal, "met": met, "film": (place / FILM).is_file()}
+        told = {"number": number, "goal": goal, "met": met, "said": said, "film": (place / FILM).is_file()}
+        return told | {"stale": plan.get("scene") != self._sha, "variation": self._variation(number)}
+
+    @cached_property
+    def _sha(self) -> str:
+        """Of the package's scene.json: a plan belongs to one."""
+        try:
+            return hashlib.sha256((self.project.package / SCENE).read_bytes()).hexdigest()
+        except OSError:
+            return ""
+
+    def _variation(self, number: int) -> dict[str, float] | None:
+        """How a rollout's launch differs from that of the one it was made from."""
+        try:
+            tree = strict_json.read(self.project.rollouts / f"{number}.json", most=1000, accepted="a variation")
+            return {"speed": float(tree["speed"]), "turn": float(tree["turn"])}
+        except (F3srError, OSError, KeyError, TypeError, ValueError):
+            return None
 
 
 def _zip(folders: dict[str, Path]) -> Iterator[bytes]:

@@ -41,7 +41,7 @@ class SceneService:
             "outline/open": lambda body: self._outlined().open(body),
             "outline/outline": lambda body: self._outlined().outline(body),
             "outline/ground": lambda body: self._outlined().ground(body),
-            "outline/save": lambda body: self._outlined().save(body),
+            "outline/save": self._save_outlines,
             "outline/cancel": lambda body: self._outlined().cancel(body),
             "view": lambda body: json_reply(self._scene().view),
             "labels": lambda body: Reply(body=self._scene().labels, kind="image/png"),
@@ -69,6 +69,12 @@ class SceneService:
             if self._outlining is None:
                 self._outlining = _outlining(self.project)
             return self._outlining
+
+    def _save_outlines(self, body: bytes) -> Reply:
+        reply = self._outlined().save(body)
+        if reply.status == 200:
+            self.project.outlines_changed.touch()
+        return reply
 
     # --- the scene -------------------------------------------------------------------------------------------------
 

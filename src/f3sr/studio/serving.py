@@ -9,6 +9,7 @@ from pathlib import Path
 
 from f3sr.errors import F3srWarning, InputError
 from f3sr.files import limited_file
+from f3sr.runtime import signals
 from f3sr.segmentation.input_folder_writer import MAX_PHOTO_BYTES
 from f3sr.studio.access_control import AccessControl
 from f3sr.studio.job_queue import JobQueue, QueueConfig
@@ -39,6 +40,7 @@ def serve(
     if port is not None and not 1 <= port <= 65535:
         raise InputError("--port", found=str(port), accepted="1 to 65535")
     password = require_password(host)
+    signals.keeps("jobs go on, and all that was saved is kept")
     with closing(Workspace(folder)) as workspace:
         first = f"p/{_project(workspace, given)}/" if given else ""
         made, secrets = listening(host, port, workspace.folder)

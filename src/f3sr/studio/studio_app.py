@@ -35,6 +35,14 @@ PAGES = {file.name: file for file in (*sorted((HERE / "pages").iterdir()), WEB /
 """Scripts and styles, by their name below ``pages/``."""
 PICTURES = {f"{name}.png" for name in SHOWN_STAGES.values()}
 """Of a job that makes a scene."""
+GOING = {
+    "reconstruct": "is being made",
+    "play": "plays a goal",
+    "vary": "plays a goal",
+    "export": "is exported",
+    "certify": "is certified",
+}
+"""Kinds of jobs as the list of projects says that they run."""
 OUTLINE_POSTS = ("open", "outline", "ground", "save", "cancel")
 """What the page that outlines objects asks for."""
 KINDS = {
@@ -124,6 +132,7 @@ class StudioApp:
         yield "GET", "/p/{id}/jobs/{job}/pictures/{name}", self.picture
         yield "GET", "/p/{id}/rollouts", self.rollouts
         yield "GET", "/p/{id}/rollouts/{number}/film.png", self.strip
+        yield "GET", "/p/{id}/rollouts/{number}/film.mp4", self.film
         yield "GET", "/p/{id}/{name}.zip", self.zipped
         yield "GET", f"/{FRAMES}{{id}}/{{path:path}}", self.framed
 
@@ -145,7 +154,12 @@ class StudioApp:
     # --- projects --------------------------------------------------------------------------------------------------
 
     def projects(self) -> dict[str, Any]:
-        return {"projects": [self._files(project).summary() for project in self.workspace.listed()]}
+        return {"projects": [self._files(p).summary() | {"job": self._going(p)} for p in self.workspace.listed()]}
+
+    def _going(self, project: Project) -> str:
+        """What is being done in a project, in words."""
+        going = [job.told() for job in self.queue.jobs(project)]
+        return next((GOING[job["kind"]] for job in going if job["state"] in ("queued", "running")), "")
 
     async def from_photo(self, request: Request, name: str = "photo") -> dict[str, str]:
         data = await request.body()
@@ -252,6 +266,9 @@ class StudioApp:
 
     def strip(self, id: str, number: int) -> Response:
         return _file(self._files(self.workspace.project(id)).strip(number))
+
+    def film(self, id: str, number: int) -> Response:
+        return _file(self._files(self.workspace.project(id)).film(number))
 
     def zipped(self, id: str, name: str) -> Response:
         """A package or an export as a ZIP file, made while it is sent."""

@@ -93,6 +93,11 @@ class Project:
         return self.folder / "edits.json"
 
     @property
+    def outlines_changed(self) -> Path:
+        """There while outlines were saved after the scene was made."""
+        return self.folder / "outlines.changed"
+
+    @property
     def rollouts(self) -> Path:
         """What was played. Not in the package: edits replace that, and films stay."""
         return self.folder / "rollouts"

@@ -58,7 +58,7 @@ class LossWeights:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outline:
+class MaskDistances:
     """The distances of pixels from a mask's outline, found when they are first asked for."""
 
     mask: Mask
@@ -84,7 +84,7 @@ class Target:
     area: float
     centroid: Array
     weights: LossWeights
-    outline: Outline
+    outline: MaskDistances
     pulls: bool = True
     """Whether pixels outside of the mask cost more, the farther they are."""
 
@@ -99,7 +99,7 @@ class Target:
             area=float(max(np.count_nonzero(visible), 1)),
             centroid=centroid(visible),
             weights=weights or LossWeights(),
-            outline=Outline(mask=mask),
+            outline=MaskDistances(mask=mask),
         )
 
     @cached_property

@@ -59,6 +59,25 @@ export const complain = (error) => {
 /** Says something to screen readers. */
 export const say = (text) => { $("said").textContent = text; };
 
+/** Says something to everybody, for a moment. */
+export const note = (text) => {
+  say(text);
+  $("note").textContent = text;
+  clearTimeout(note.end);
+  note.end = setTimeout(() => { $("note").textContent = ""; }, 6000);
+};
+
+/** Shows in an element what is waited for, and how long already; the answer ends it. */
+export const waiting = (place, words) => {
+  const start = performance.now(), show = () => {
+    const past = Math.floor((performance.now() - start) / 1000);
+    place.textContent = `${words} …${past > 2 ? ` ${past} s` : ""}`;
+  };
+  show();
+  const clock = setInterval(show, 1000);
+  return () => clearInterval(clock);
+};
+
 /** Runs `work` while a button is busy; what goes wrong is shown. */
 export const busy = async (button, work) => {
   if (button.getAttribute("aria-busy") === "true") return;

@@ -1,5 +1,5 @@
 // The first page: a photo, the example or a folder becomes a project; projects are listed.
-import { $, ask, busy, complain, element, say, send } from "./ask.js";
+import { $, ask, busy, complain, element, note, send } from "./ask.js";
 
 const enter = (id) => location.assign(`p/${id}/`);
 
@@ -38,23 +38,28 @@ $("open").addEventListener("submit", (e) => {
 
 const STATES = { photo: "photo: to be outlined", outlined: "outlined: to be made", scene: "scene", damaged: "cannot be read" };
 
+const SURE_MS = [1000, 6000]; // after the first click, in which a second one deletes
+const date = (seconds) => new Date(1000 * seconds).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 const card = (project) => {
-  const name = element("bdi", { text: project.name }), facts = [STATES[project.state], project.job, project.rollouts ? `${project.rollouts} played` : ""];
+  const name = element("bdi", { text: project.name }), facts = [STATES[project.state], project.job, project.rollouts ? `${project.rollouts} played` : "", project.created ? date(project.created) : ""];
   const inside = [
     project.picture ? element("img", { src: `p/${project.id}/thumb.jpg`, alt: "", loading: "lazy" }) : element("span", { class: "blank", "aria-hidden": "true" }),
     element("span", { class: "name" }, name),
     element("span", { class: "fine", text: facts.filter(Boolean).join(" · ") }),
   ];
   const remove = element("button", { type: "button", class: "quiet-button", text: "Delete", "aria-label": `Delete ${project.name}` });
+  let asked = 0;
   remove.addEventListener("click", () => {
-    if (remove.dataset.sure) return busy(remove, async () => {
+    const since = performance.now() - asked;
+    if (since < SURE_MS[0]) return; // a double click is no second thought
+    if (since < SURE_MS[1]) return busy(remove, async () => {
       await ask(`p/${project.id}/delete`, {});
-      say(`${project.name} is deleted.`);
+      note(`${project.name} is deleted.`);
       await list();
     });
-    remove.dataset.sure = "1";
-    remove.textContent = "Delete all of it?";
-    setTimeout(() => { delete remove.dataset.sure; remove.textContent = "Delete"; }, 5000);
+    asked = performance.now();
+    remove.textContent = `Delete it${project.rollouts ? ", its films" : ""}${project.job ? ", and end its job" : ""}?`;
+    setTimeout(() => { remove.textContent = "Delete"; }, SURE_MS[1]);
   });
   const link = project.state === "damaged" ? element("div", { class: "card" }, ...inside, element("span", { class: "bad", text: project.problem }))
     : element("a", { class: "card", href: `p/${project.id}/` }, ...inside);

@@ -14,7 +14,11 @@ export const outline = {
     $("outline-frame").hidden = !drawn;
     $("outline-given").hidden = drawn;
     if (!drawn) $("outline-picture").src = "masks.jpg";
-    else if (!$("outline-frame").src || outline.done) $("outline-frame").src = "outline/";
+    else if (!$("outline-frame").src || outline.done) {
+      $("outline-wait").hidden = false;
+      $("outline-frame").addEventListener("load", () => { $("outline-wait").hidden = true; }, { once: true });
+      $("outline-frame").src = "outline/";
+    }
   },
   changed(project) {
     outline.done = project.state.outlined;

@@ -7,6 +7,7 @@ import { play } from "./play.js";
 import { take } from "./take.js";
 
 const STEPS = { outline, run, scene, play, take };
+const JOB_STEPS = { reconstruct: "run", play: "play", vary: "play", export: "take", certify: "take" };
 const PAUSE_MS = 400; // between questions while a job runs
 
 /** What the steps share: the project's last known state, questions below its address, jobs. */
@@ -62,7 +63,8 @@ const offered = () => {
 const show = () => {
   const { state } = project;
   if (!state) return; // the first answer is on its way
-  const first = state.scene ? "scene" : state.outlined ? "run" : "outline";
+  const going = state.jobs.find((j) => ["queued", "running"].includes(j.state));
+  const first = going ? JOB_STEPS[going.kind] : state.scene ? "scene" : state.outlined ? "run" : "outline";
   const name = STEPS[project.shown] ? project.shown : first;
   if (name !== project.shown) history.replaceState(null, "", `#${name}`);
   for (const other of Object.keys(STEPS)) $(`step-${other}`).hidden = other !== name;
@@ -82,5 +84,6 @@ try {
   say(`Project ${project.state.name}`);
 } catch (error) {
   complain(error);
+  if (error.status === 422) setTimeout(() => location.assign("../../"), 4000); // it is no longer there
 }
 window.studio = { project, STEPS };

@@ -38,12 +38,12 @@ const heard = (project) => (event) => {
     const line = $(id) || stages.appendChild(element("li", { id }));
     const words = WORDS[event.name] || event.name;
     line.className = event.state;
-    line.replaceChildren(element("span", { text: words }), element("span", { class: "time", text: event.state === "done" ? seconds(event.seconds) : event.state === "resumed" ? "known" : event.state === "skipped" ? "left out" : "…" }));
+    line.replaceChildren(element("span", { text: words }), element("span", { class: "time", text: event.state === "done" ? seconds(event.seconds) : event.state === "resumed" ? "done before" : event.state === "skipped" ? "left out" : "…" }));
     if (event.state !== "started") $("run-progress").value = ++done / Object.keys(WORDS).length;
     else say(words);
   } else if (event.event === "picture") {
     const title = TITLES[event.name] || event.name;
-    $("run-pictures").append(element("figure", {}, element("img", { src: `jobs/${job}/pictures/${event.file}`, alt: `${title}: the scene over the photo` }), element("figcaption", { text: `${title}. Blue: mask and scene agree. Red: mask alone. Green: scene alone.` })));
+    $("run-pictures").append(element("figure", {}, element("img", { src: `jobs/${job}/pictures/${event.file}`, alt: `${title}: the scene over the photo` }), element("figcaption", { text: title })));
   } else if (event.event === "decision" && event.fallback) {
     $("run-told").append(element("li", {}, element("b", { text: event.choice }), ` ${event.reason}`));
   }
@@ -56,6 +56,7 @@ const follow = async (project, id) => {
   $("run-next").hidden = true;
   for (const place of ["run-cancel", "run-progress"]) $(place).hidden = false;
   $("run-state").textContent = "";
+  $("run-given").hidden = true;
   try {
     const ended = await project.follow(id, heard(project));
     tell(ended);
@@ -63,6 +64,7 @@ const follow = async (project, id) => {
     job = null;
     $("run-start").hidden = false;
     for (const place of ["run-cancel", "run-progress"]) $(place).hidden = true;
+    for (const line of $("run-stages").querySelectorAll(".started")) line.className = "ended";
     run.changed(project);
   }
 };
@@ -78,7 +80,9 @@ export const run = {
   async begin(project) {
     const choices = project.state.choices;
     for (const [name, none] of [["geometry", "from the photo, or as the folder has it"], ["assets", "lifted from the masks, or as the folder has them"], ["background", "completed by f3sr"]]) {
-      $(OPTIONS[name]).append(element("option", { value: "", text: none }), ...choices[name].map((c) => element("option", { value: c.name, text: c.met ? c.name : `${c.name} (${c.found})`, disabled: !c.met })));
+      $(OPTIONS[name]).append(element("option", { value: "", text: none }), ...choices[name].filter((c) => c.met).map((c) => element("option", { value: c.name, text: c.name })));
+      const absent = choices[name].filter((c) => !c.met).length;
+      if (absent) $(OPTIONS[name]).append(element("option", { disabled: true, text: `${absent} more need something: f3sr doctor says what` }));
     }
     for (const [name, id] of Object.entries(OPTIONS)) if (project.state.options[name] !== undefined) $(id).value = project.state.options[name];
     $("run-form").addEventListener("submit", (e) => {
@@ -89,11 +93,14 @@ export const run = {
       });
     });
     $("run-cancel").addEventListener("click", (e) => busy(e.currentTarget, () => project.ask(`jobs/${job}/cancel`, {})));
-    const running = project.state.jobs.find((j) => j.kind === "reconstruct" && ["queued", "running"].includes(j.state));
-    if (running) follow(project, running.id).catch(complain);
+    const last = project.state.jobs.filter((j) => j.kind === "reconstruct").at(-1);
+    if (last) follow(project, last.id).catch(complain);
   },
   changed({ state }) {
-    $("run-what").textContent = state.outlined ? `${state.masks} ${state.masks === 1 ? "object is" : "objects are"} outlined.` : "Nothing is outlined yet.";
+    $("run-what").replaceChildren(...(state.outlined ? [`${state.masks} ${state.masks === 1 ? "object is" : "objects are"} outlined.`, state.outdated ? element("b", { text: " The outlines are newer than the scene: make it again." }) : ""] : ["Nothing is outlined yet: ", element("a", { href: "#outline", text: "outline the objects" }), " first."]));
+    $("run-given").hidden = job !== null || $("run-pictures").childElementCount > 0 || !state.outlined;
+    if (!$("run-given").hidden) $("run-given").querySelector("img").src = `masks.jpg?${state.masks}-${state.outdated}`;
+    $("run-start").classList.toggle("main", !state.scene || state.outdated);
     $("run-remarks").replaceChildren(...state.remarks.map((text) => element("li", { text })));
     $("run-start").disabled = !state.outlined;
     $("run-start").textContent = state.scene ? "Make it again" : "Make the scene";

@@ -11,11 +11,12 @@ let view = null, data = null, state = null, labels = null, selected = null, shif
 
 const of = (id) => state.objects.find((o) => o.id === id);
 const indexOf = (id) => data.objects.findIndex((o) => o.id === id);
-const nameOf = (id) => (id === -1 ? "the ground" : `${id} ${of(id)?.label || ""}`.trim());
+const nameOf = (id) => (id === -1 ? "the ground" : of(id)?.name || `object ${id}`);
 
 // --- edits: one question at a time ---------------------------------------------------------------------------------
 
-const changed = async (path, value, words) => {
+const changed = async (path, value, words, done) => {
+  const focused = document.activeElement?.getAttribute("aria-label");
   $("edit-state").textContent = `${words} …`;
   $("scene-work").setAttribute("aria-busy", "true");
   for (const b of $("step-scene").querySelectorAll(".inspector button, .inspector input, .inspector select")) b.disabled = true;
@@ -23,7 +24,7 @@ const changed = async (path, value, words) => {
     complain(null);
     state = await ask(path, value);
     if (state.meshes !== data.meshes) await open(); // the sizes of an edited package are in its meshes
-    $("edit-state").textContent = `At rest again in ${seconds(state.seconds)}.`;
+    $("edit-state").textContent = done || `At rest again after ${seconds(state.seconds)}.`;
     say($("edit-state").textContent);
   } catch (error) {
     $("edit-state").textContent = "";
@@ -32,15 +33,17 @@ const changed = async (path, value, words) => {
     shift = null;
     $("scene-work").removeAttribute("aria-busy");
     show();
+    if (focused) document.querySelector(`.inspector [aria-label="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
   }
 };
-const edit = (made, words) => changed("scene/edits", { edit: made }, words);
+const edit = (made, words, done) => changed("scene/edits", { edit: made }, words, done);
 const move = (id, by) => edit({ kind: "move", id, by }, "Moving");
 
 // --- what is selected ----------------------------------------------------------------------------------------------
 
 const select = (id, { focus = false } = {}) => {
   selected = of(id) ? id : null;
+  complain(null);
   show();
   if (selected === null) return;
   const button = document.querySelector(`#objects [data-id="${id}"]`);
@@ -90,32 +93,41 @@ const nudge = (across, away, up = 0) => {
 };
 
 const inspector = (o) => {
-  const moves = [["←", "to the left", -1, 0, 0], ["→", "to the right", 1, 0, 0], ["↑", "away from the camera", 0, 1, 0], ["↓", "towards the camera", 0, -1, 0], ["⤒", "up", 0, 0, 1], ["⤓", "down", 0, 0, -1]];
+  const moves = [["←", "to the left", -1, 0, 0], ["→", "to the right", 1, 0, 0], ["↑", "away from the camera", 0, 1, 0], ["↓", "towards the camera", 0, -1, 0], ["up", "up", 0, 0, 1], ["down", "down", 0, 0, -1]];
   const steps = element("select", { "aria-label": "Step of a move", onchange: (e) => { step = Number(e.target.value); } }, ...STEPS_M.map((s) => element("option", { value: s, text: s < 0.01 ? `${1000 * s} mm` : `${100 * s} cm`, selected: s === step })));
   const turns = [-90, -15, -5, 5, 15, 90];
-  const axis = element("select", { "aria-label": "Axis of a turn" }, ...[["vertical", "about the vertical"], ["away", "about the view"], ["right", "about left to right"]].map(([value, text]) => element("option", { value, text })));
+  const axis = element("select", { "aria-label": "Axis of a turn" }, ...[["vertical", "about the vertical axis"], ["away", "about the axis away from the camera"], ["right", "about the axis to the right"]].map(([value, text]) => element("option", { value, text })));
   const axisNow = () => ({ vertical: [0, 0, 1], ...onGround() })[axis.value];
   const support = element("select", { onchange: (e) => edit({ kind: "support", id: o.id, on: Number(e.target.value) }, "Moving it there") },
     ...[-1, ...state.objects.filter((p) => p.id !== o.id).map((p) => p.id)].map((id) => element("option", { value: id, text: nameOf(id), selected: id === o.support })));
-  const label = element("input", { value: o.label, maxlength: 200, spellcheck: "false", onchange: (e) => edit({ kind: "label", id: o.id, to: e.target.value.trim() }, "Naming it") });
-  const fixed = element("input", { type: "checkbox", checked: o.mobility === "fixed", onchange: (e) => edit({ kind: e.target.checked ? "fix" : "release", id: o.id }, "Changing it") });
+  const label = element("input", { value: o.label, maxlength: 200, spellcheck: "false", onchange: (e) => edit({ kind: "label", id: o.id, to: e.target.value.trim() }, "Naming it", "Named.") });
+  const fixed = element("input", { type: "checkbox", checked: o.mobility === "fixed", onchange: (e) => edit({ kind: e.target.checked ? "fix" : "release", id: o.id }, "Changing it", e.target.checked ? "Fixed: nothing moves it." : "No longer fixed.") });
   const remove = press("Delete", `Delete ${nameOf(o.id)}`, () => edit({ kind: "delete", id: o.id }, "Deleting it"));
   const size = o.size.map((s) => `${(100 * s).toFixed(1)}`).join(" × ");
   return [
     element("h3", {}, element("bdi", { text: nameOf(o.id) })),
-    element("p", { class: "fine", text: `${size} cm, ${o.material}; ${o.support === null ? "rests on nothing known" : `stands on ${nameOf(o.support)}`}.${o.iou === null ? "" : ` Visible IoU ${o.iou.toFixed(3)}.`}` }),
+    element("p", { class: "fine", text: `${size} cm, ${o.material}; ${o.support === null ? "rests on nothing known" : `stands on ${nameOf(o.support)}`}.${o.iou === null ? "" : ` It agrees with ${Math.round(100 * o.iou)} % of its outline (visible IoU).`}` }),
     element("div", { class: "edit-row", role: "group", "aria-label": "Move" }, ...moves.map(([text, words, x, y, z]) => press(text, `Move ${words}`, () => move(o.id, nudge(x, y, z)))), steps),
     element("div", { class: "edit-row", role: "group", "aria-label": "Turn" }, ...turns.map((t) => press(`${t > 0 ? "+" : "−"}${Math.abs(t)}°`, `Turn by ${t} degrees`, () => edit({ kind: "turn", id: o.id, axis: axisNow(), degrees: t }, "Turning"))), axis),
-    field("Size", number(100, { words: "Size", low: 20, high: 500 }, (value) => value !== 100 && edit({ kind: "scale", id: o.id, factor: value / 100 }, "Scaling")), "% of now"),
+    field("Size", number(100, { words: "Size", low: 20, high: 500 }, (value) => value !== 100 && edit({ kind: "scale", id: o.id, factor: value / 100 }, "Scaling")), "% of its size now"),
     field("Stands on", support),
     field("Mass", number(o.mass, { words: "Mass", low: 1e-4, high: 1e4 }, (value) => edit({ kind: "material", id: o.id, mass: value }, "Weighing")), "kg"),
     field("Friction", number(o.friction, { words: "Friction", low: 0, high: 2 }, (value) => edit({ kind: "material", id: o.id, friction: value }, "Changing it"))),
     field("Name", label),
-    element("div", { class: "edit-row" }, element("label", { class: "check" }, fixed, " fixed"), remove),
-    element("details", { open: true }, element("summary", { text: "What was decided, and why" }),
+    element("div", { class: "edit-row" }, element("label", { class: "check" }, fixed, " fixed: nothing moves it"), remove),
+    element("details", {}, element("summary", { text: "What was decided, and why" }),
       element("ul", { class: "decisions" }, ...o.decisions.map((d) => element("li", { class: d.fallback ? "fallback" : null }, element("b", { text: `${d.stage}: ${d.choice}` }), ` ${d.reason}`))),
       o.decisions.length ? null : element("p", { class: "quiet", text: "Nothing was decided about it alone." })),
   ];
+};
+
+/** The measures in a sentence. */
+const verdict = () => {
+  const { N_cross: crossings, D_max_cm: drift, mIoU_visible: iou } = state.measures, said = [];
+  if (iou !== undefined) said.push(`The scene agrees with ${Math.round(100 * iou)} % of the outlines.`);
+  if (crossings !== undefined) said.push(crossings ? `${crossings} pairs of triangles cross.` : "Nothing penetrates anything.");
+  if (drift !== undefined) said.push(drift <= 0.1 ? "Everything rests." : `Something moves by ${drift.toPrecision(2)} cm when it is released.`);
+  return said.join(" ");
 };
 
 // --- everything shown ------------------------------------------------------------------------------------------------
@@ -134,6 +146,7 @@ const show = () => {
   $("object").hidden = selected === null;
   $("object").replaceChildren(...(selected === null ? [] : inspector(of(selected))));
   $("measures").replaceChildren(...Object.entries(MEASURES).filter(([k]) => state.measures[k] !== undefined).map(([k, words]) => element("div", {}, element("dt", { text: words }), element("dd", { text: k === "N_cross" ? String(state.measures[k]) : Number(state.measures[k].toPrecision(3)).toString() }))));
+  $("verdict").textContent = verdict();
   $("edits").replaceChildren(...state.edits.map((words) => element("li", { text: words })));
   $("edits-none").hidden = state.edits.length > 0;
   paintMark();
@@ -158,10 +171,7 @@ const grab = (x, y) => {
   const i = view.pick(x, y);
   if (i < 0 || $("scene-work").getAttribute("aria-busy")) return null;
   const id = data.objects[i].id, box = of(id).center, from = meets(view.ray(x, y), box[2]);
-  if (id !== selected) {
-    select(id);
-    return { move() {}, end() {} }; // a first touch selects, a second moves
-  }
+  if (id !== selected) select(id);
   return {
     move(to) {
       const at = from && meets(to, box[2]);
@@ -189,10 +199,12 @@ const loaded = (src) => new Promise((done, failed) => {
 
 const open = async () => {
   const version = project.state.version;
+  $("scene-wait").hidden = false;
+  $("scene-photo").src = `photo.jpg?${version}`;
   const [picture, packed, light] = await Promise.all([loaded(`scene/labels.png?${version}`), ask("scene/view"), ask("scene/state")]);
   [labels, data, state] = [pixels(picture), packed, light];
   scene.version = version;
-  $("scene-photo").src = `photo.jpg?${version}`;
+  $("scene-wait").hidden = true;
   for (const id of ["photo-stage", "view-stage"]) $(id).style.aspectRatio = `${state.camera.width} / ${state.camera.height}`;
   const fresh = $("scene-view").cloneNode(); // a canvas keeps its context: another scene gets another canvas
   $("scene-view").replaceWith(fresh);
@@ -221,8 +233,8 @@ export const scene = {
       $("show-parts").setAttribute("aria-pressed", String(parts));
       view?.draw();
     });
-    $("undo").addEventListener("click", () => changed("scene/undo", {}, "Undoing"));
-    $("redo").addEventListener("click", () => changed("scene/redo", {}, "Doing it again"));
+    $("undo").addEventListener("click", () => changed("scene/undo", {}, "Undoing", "Undone."));
+    $("redo").addEventListener("click", () => changed("scene/redo", {}, "Doing it again", "Done again."));
     $("photo-stage").addEventListener("click", (e) => {
       if (!labels) return;
       const box = $("photo-stage").getBoundingClientRect();

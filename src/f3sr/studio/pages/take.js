@@ -6,14 +6,16 @@ const checks = (place, names, chosen) => $(place).replaceChildren(...names.map((
 const chosen = (place) => [...$(place).querySelectorAll("input:checked")].map((c) => c.value);
 
 const follow = async (project, kind, options, done) => {
-  $("take-state").className = "";
-  $("take-state").textContent = "…";
+  const state = $(`${kind}-state`);
+  if (!Object.values(options)[0].length) throw new Error(`Tick at least one ${kind === "export" ? "format" : "engine"}.`);
+  state.className = "";
+  state.textContent = "…";
   const ended = await project.job(kind, options, (event) => {
-    if (event.event === "step" && event.state !== "done") $("take-state").textContent = `${event.name} …`;
+    if (event.event === "step" && event.state !== "done") state.textContent = `${event.name} …`;
   });
-  $("take-state").className = ended.state === "failed" ? "bad" : "";
-  $("take-state").textContent = ended.state === "done" ? done(ended.result) : ended.problem || ended.state;
-  say($("take-state").textContent);
+  state.className = ended.state === "failed" ? "bad" : "";
+  state.textContent = ended.state === "done" ? done(ended.result) : ended.problem || ended.state;
+  say(state.textContent);
 };
 
 export const take = {
