@@ -312,7 +312,7 @@ def test_requests_of_another_shape_get_one_line(server: StudioServer, scene: str
 @pytest.mark.parametrize("folder", ["~nobody-at-all/x", "a" * 3000, "/" + "a/" * 1900, "~", "\x7f", " "])
 def test_no_name_of_a_folder_is_more_than_a_line(server: StudioServer, folder: str) -> None:
     status, told = server.post("projects/folder", {"folder": folder})
-    assert status == 422 and "; accepted: a folder with " in told["problem"]
+    assert status == 422 and "; accepted: " in told["problem"]
 
 
 DEEP = '{"a":' * 900 + "1" + "}" * 900
