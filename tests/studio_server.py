@@ -39,8 +39,15 @@ class StudioServer:
 
     def post(self, path: str, value: Any = None, *, data: bytes | None = None) -> tuple[int, Any]:
         """Status, and the answer as JSON where it is some."""
-        kind = "application/octet-stream" if data is not None else "application/json"
-        body = json.dumps({} if value is None else value).encode() if data is None else data
+        if data is None:
+            return self.post_text(path, json.dumps({} if value is None else value))
+        return self._posted(path, data, "application/octet-stream")
+
+    def post_text(self, path: str, text: str) -> tuple[int, Any]:
+        """The same of a text that need not be JSON."""
+        return self._posted(path, text.encode(), "application/json")
+
+    def _posted(self, path: str, body: bytes, kind: str) -> tuple[int, Any]:
         status, answer, _ = self._asked("POST", path, body, {"Content-Type": kind}, "")
         try:
             return status, json.loads(answer)

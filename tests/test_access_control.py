@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -17,6 +22,7 @@ pytest.importorskip("uvicorn", reason="the extra studio is not installed")
 from f3sr.mask_page.loopback_server import RequestRefusedError
 from f3sr.studio import access_control, bounded_connections, web_server
 from f3sr.studio.access_control import AccessControl, AddressSecrets
+from f3sr.studio.peer_user import peer_user
 from waiting import soon
 
 
@@ -64,7 +70,10 @@ def served() -> Iterator[Served]:
     async def app(scope: Any, receive: Any, send: Any) -> None:
         message = await receive() if scope["method"] == "POST" else {"body": b""}
         seen.append({"path": scope["path"], "body": message["body"]})
-        await access_control.plain(send, 200, "here")
+        if scope["path"] != "/stay":
+            return await access_control.plain(send, 200, "here")
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"4")]})
+        await send({"type": "http.response.body", "body": b"here"})
 
     async def login(scope: Any, receive: Any, send: Any) -> None:
         await access_control.plain(send, 200, "who are you")
@@ -125,6 +134,20 @@ REFUSED = {
     ),
     "the framed word for a page": ("GET", "/<framed>/p/mug", {}, 404),
     "the framed word for a change": ("POST", "/<framed>/framed/mug", {}, 404),
+    "the word for files of packages": (
+        "GET",
+        f"/{TOKEN}/framed/mug/package/x.html",
+        {},
+        404,
+    ),
+    "a scheme that a header tells": (
+        "POST",
+        f"/{TOKEN}/x",
+        {"X-Forwarded-Proto": "https", "X-Forwarded-For": "10.0.0.1", "Origin": "https://127.0.0.1:<port>"},
+        403,
+    ),
+    "a long password": ("POST", "/login", {"Content-Length": "1001"}, 413),
+    "a photo for a password": ("POST", "/login", {"Content-Type": "application/octet-stream"}, 415),
     "the framed word around": ("GET", "/<framed>/x/framed/mug", {}, 404),
 }
 
@@ -155,6 +178,38 @@ def test_the_word_that_counts_once_counts_once() -> None:
     once = secrets.once
     assert not secrets.takes_once("") and secrets.takes_once(once)
     assert not secrets.takes_once(once) and not secrets.takes_once("") and not secrets.opens(once)
+
+
+@pytest.mark.parametrize(("user", "status"), [(4242, 404), (os.geteuid(), 303), (0, 303), (None, 303)])
+def test_the_word_that_counts_once_is_its_owners(user: int | None, status: int) -> None:
+    """Everybody sees the browser's command line, and may be faster than it."""
+    secrets, told, answers = AddressSecrets(), list[str](), list[dict[str, Any]]()
+
+    async def send(message: Any) -> None:
+        answers.append(message)
+
+    async def inner(scope: Any, receive: Any, send: Any) -> None:
+        raise AssertionError("nobody is let in")
+
+    control = AccessControl(inner, secrets, lambda host: True, refused=told.append, user=lambda scope: user)
+    scope = {"type": "http", "method": "GET", "path": f"/{secrets.once}/", "headers": [(b"host", b"127.0.0.1")]}
+    asyncio.run(control(scope, None, send))  # type: ignore[arg-type]
+    assert answers[0]["status"] == status and bool(told) == (status == 404) == bool(secrets.once)
+    assert (secrets.token.encode() in str(answers).encode()) == (status == 303)
+
+
+def test_the_system_tells_whose_a_connection_is() -> None:
+    if not Path("/proc/net/tcp").exists():
+        pytest.skip("this system has no table of sockets")
+    for host, family in (("127.0.0.1", socket.AF_INET), ("::1", socket.AF_INET6)):
+        made = socket.create_server((host, 0), family=family)
+        with made, socket.create_connection(made.getsockname()[:2]) as client:
+            scope = {"client": client.getsockname()[:2], "server": made.getsockname()[:2]}
+            assert peer_user(scope) == os.geteuid()
+            if os.geteuid() == 0:
+                os.fchown(client.fileno(), 4242, -1)
+                assert peer_user(scope) == 4242
+    assert peer_user({"client": ("10.0.0.1", 1), "server": ("127.0.0.1", 2)}) is None and peer_user({}) is None
 
 
 def test_a_password_opens_an_address_of_its_own_and_wrong_ones_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,6 +281,37 @@ def test_a_flood_of_connections_is_bounded_and_the_next_page_is_served(
     assert soon(lambda: served.ask(f"/{served.secrets.token}/")[0] == 200)
 
 
+def test_strangers_do_not_keep_the_user_out(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half-open connections take all places again and again while the user works."""
+    monkeypatch.setattr(bounded_connections, "MAX_CONNECTIONS", 5)
+    request = f"GET /{served.secrets.token}/stay HTTP/1.1\r\nHost: {served.host}\r\n\r\n".encode()
+    strangers = list[socket.socket]()
+    with socket.create_connection(("127.0.0.1", served.port), timeout=3) as user:
+        try:
+            for _ in range(4):
+                user.sendall(request)
+                answer = b""
+                while not answer.endswith(b"here"):
+                    answer += (part := user.recv(65536))
+                    assert part
+                for _ in range(8):
+                    strangers.append(socket.create_connection(("127.0.0.1", served.port), timeout=3))
+                    with suppress(OSError):  # closed already
+                        strangers[-1].sendall(b"GET / HTTP/1.1\r\nX: ")
+                assert served.ask(f"/{served.secrets.token}/")[0] == 200
+        finally:
+            for one in strangers:
+                one.close()
+
+
+def test_noise_of_strangers_does_not_fill_the_terminal(served: Served, caplog: pytest.LogCaptureFixture) -> None:
+    twice = b"GET / HTTP/1.1\r\nHost: a\r\nHost: b"
+    for noise in (b"\x16\x03\x01", b"GET", twice, b"\0" * 100):
+        assert b" 200 " not in served.raw(noise + b"\r\n\r\n", wait=0.5)
+    assert served.ask("/wrong/", Connection="Upgrade", Upgrade="websocket")[0] == 404
+    assert not caplog.records
+
+
 def test_a_web_socket_is_no_way_in(served: Served) -> None:
     served.seen.clear()
     upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec_WebSocket_Key": "x", "Sec_WebSocket_Version": "13"}
@@ -240,6 +326,67 @@ def test_a_host_is_this_machine() -> None:
     wide = web_server.names_server("0.0.0.0", 80)
     assert wide("192.168.1.5:80") and wide("[fe80::1]:80") and wide(f"{socket.gethostname()}:80")
     assert not wide("evil.example:80") and not wide("192.168.1.5.evil.example:80")
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "named", "strange"),
+    [
+        ("::1", 81, ["[::1]:81", "localhost:81"], ["::1:81", "[::2]:81", "[::1]"]),
+        ("0:0:0:0:0:0:0:1", 81, ["[::1]:81"], ["evil.example:81"]),
+        ("127.0.0.1", 80, ["127.0.0.1", "localhost", "127.0.0.1:80"], ["evil.example", "", ":80", ":"]),
+        ("", 80, ["192.168.1.5", "[fe80::1]", "localhost"], ["evil.example", "evil.example:80", "", ":80"]),
+        ("Box.example", 81, ["box.example:81", "BOX.example:81"], ["box.example:80", "ox.example:81"]),
+    ],
+)
+def test_a_host_is_named_as_browsers_write_it(host: str, port: int, named: list[str], strange: list[str]) -> None:
+    names = web_server.names_server(host, port)
+    assert [h for h in named if not names(h)] == [] and [h for h in strange if names(h)] == []
+
+
+def test_the_address_that_is_told_is_listened_on(tmp_path: Path) -> None:
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("this machine has no IPv6")
+    for host in ("::", "::1", "0.0.0.0", "127.0.0.1", "localhost"):
+        made, _ = web_server.listening(host, None, tmp_path)
+        with made:
+            told = urlsplit(web_server.address(host, made, ""))
+            socket.create_connection((told.hostname, told.port), timeout=3).close()
+            assert web_server.names_server(host, made.getsockname()[1])(told.netloc)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *("", "[]", "7", "null", "{}", '{"port": 8000}', "[" * 100_000, '{"port": ' + "9" * 5000 + "}"),
+        *('{"port": "8000", "token": "<40>"}', '{"port": 8000, "token": 7}', '{"port": 8000, "token": ["<40>"]}'),
+        *('{"port": 70000, "token": "<40>"}', '{"port": 8000, "token": "a/<40>"}', '{"port": 8000, "token": "short"}'),
+    ],
+)
+def test_a_damaged_address_is_another_one(tmp_path: Path, damage: str) -> None:
+    file = tmp_path / web_server.ADDRESS
+    file.write_text(damage.replace("<40>", "a" * 43))
+    file.chmod(0o600)
+    made, secrets = web_server.listening("127.0.0.1", None, tmp_path)
+    made.close()
+    assert len(secrets.token) == 43 and secrets.token not in damage and json.loads(file.read_text())["token"]
+
+
+def test_an_address_of_somebody_else_is_not_taken(tmp_path: Path) -> None:
+    real, file = tmp_path / "real.json", tmp_path / web_server.ADDRESS
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    real.write_text(json.dumps({"port": port, "token": "a" * 43}))
+    real.chmod(0o600)
+    file.symlink_to(real)
+    made, secrets = web_server.listening("127.0.0.1", None, tmp_path)
+    made.close()
+    assert secrets.token != "a" * 43 and not file.is_symlink() and "a" * 43 in real.read_text()
+    if os.geteuid() == 0:
+        real.replace(file)
+        os.chown(file, 4242, -1)
+        made, secrets = web_server.listening("127.0.0.1", None, tmp_path)
+        made.close()
+        assert secrets.token != "a" * 43
 
 
 def test_an_address_stays_with_its_port_and_is_the_owners_alone(tmp_path: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -349,6 +350,22 @@ def test_jobs_that_ended_long_ago_are_taken_away(place: Path, monkeypatch: pytes
         last = asked(queue, project, "step 0")
         assert queue.jobs(project) == [running, *waiting[2:], last]
         assert {entry.name for entry in project.jobs.iterdir()} == {job.id for job in queue.jobs(project)}
+
+
+def test_a_file_that_cannot_be_read_for_a_while_ends_no_queue(place: Path, monkeypatch: pytest.MonkeyPatch):
+    """Too many open files, or a server of files that is away."""
+    read, failed = JobFolder.events, list[str]()
+
+    def events(job: JobFolder, after: int = 0) -> list[dict[str, Any]]:
+        if len(failed) < 3:
+            failed.append(job.id)
+            raise OSError(errno.EMFILE, "too many open files")
+        return read(job, after)
+
+    with opened(place) as (queue, project):
+        monkeypatch.setattr(JobFolder, "events", events)
+        first, second = asked(queue, project, "step 0"), asked(queue, project, "step 0")
+        assert [ended(job)["state"] for job in (first, second)] == ["done", "done"] and failed == 3 * [first.id]
 
 
 @pytest.mark.parametrize("id", ["", ".", "..", "../../x", "a/b", "1" * 13 + "-" + "0" * 8, "\0", "1" * 10**5])

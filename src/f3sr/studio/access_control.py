@@ -7,15 +7,17 @@ send a request that counts. Requests that change something also need the page's 
 from __future__ import annotations
 
 import asyncio
+import os
 import secrets
 import threading
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any
 
 from f3sr.mask_page.loopback_server import HEADERS, TOKEN_BYTES, RequestRefusedError
+from f3sr.studio.peer_user import peer_user
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -26,6 +28,8 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 BODIES = {"application/json": 2_000_000, "application/octet-stream": 64_000_000}
 """Media types of bodies, and the bytes that each may have: strokes around 500 objects take 1 MB, a photo of a hundred
 megapixels 60."""
+LOGIN_BODIES = {"application/json": 1000}
+"""The same of who has no word yet: a password is short."""
 BODY_S = 10.0
 """How long a body may take [s], beside its bytes at ``SLOWEST``."""
 SLOWEST = 200_000
@@ -33,6 +37,8 @@ SLOWEST = 200_000
 MOST_LOGINS = 10
 """Wrong passwords in ``LOGIN_S``, of all clients together, before the page waits."""
 LOGIN_S = 60.0
+LET_IN = "f3sr.let_in"
+"""Key of a request's scope, once it has shown a word."""
 MOST_SESSIONS = 50
 """Addresses that passwords opened; the oldest ends first."""
 POLICY = (
@@ -54,7 +60,8 @@ class AddressSecrets:
     password: str = ""
     """Opens further addresses; empty where only the terminal's counts."""
     once: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
-    """Leads to the page once: a browser's command line, which every user of the machine can list, gets this one."""
+    """Leads its owner to the page once: a browser's command line, which every user of the machine can list, gets this
+    one."""
     first: str = ""
     """The page, below the secret word, that the user sees first."""
     framed: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
@@ -72,10 +79,14 @@ class AddressSecrets:
         """Whether an address with this word shows files of packages."""
         return secrets.compare_digest(word.encode(), self.framed.encode())
 
+    def is_once(self, word: str) -> bool:
+        """Whether this is the word that counts once, and has not done so yet."""
+        return bool(self.once) and secrets.compare_digest(word.encode(), self.once.encode())
+
     def takes_once(self, word: str) -> bool:
-        """Whether this is the word that counts once, which it then has done."""
+        """The same; it then has counted."""
         with self._lock:
-            if not self.once or not secrets.compare_digest(word.encode(), self.once.encode()):
+            if not self.is_once(word):
                 return False
             self.once = ""
             return True
@@ -106,6 +117,8 @@ class AccessControl:
     """Answers ``/`` and ``/login`` of a server with a password."""
     refused: Callable[[str], object] = lambda why: None
     """Is told why a request was refused."""
+    user: Callable[[Scope], int | None] = peer_user
+    """Of whom a request comes, by number; None where the system does not tell."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -116,7 +129,7 @@ class AccessControl:
         try:
             app = self._admitted(scope)
             if scope["method"] == "POST":
-                receive = _replayed(await _body(scope, receive), receive)
+                receive = _replayed(await _body(scope, receive, LOGIN_BODIES if app is self.login else BODIES), receive)
         except RequestRefusedError as refusal:
             self.refused(refusal.why)
             return await plain(send, refusal.status, refusal.why)
@@ -131,14 +144,20 @@ class AccessControl:
         word, slash, rest = scope["path"].removeprefix("/").partition("/")
         is_login = self.login is not None and not slash and word in ("", "login")
         is_framed = self.secrets.frames(word) and rest.startswith(FRAMES) and method == "GET"
-        if method == "GET" and not rest and self.secrets.takes_once(word):
-            return _moved(f"/{self.secrets.token}/{self.secrets.first}")
-        if not (is_login or is_framed or (slash and self.secrets.opens(word))):
+        if method == "GET" and not rest and self.secrets.is_once(word):
+            if self.user(scope) not in (None, 0, os.geteuid()):
+                self.refused("another user of this machine asked for the page that the browser was to open")
+                raise nothing
+            if self.secrets.takes_once(word):
+                return _moved(f"/{self.secrets.token}/{self.secrets.first}")
+        opened = slash and self.secrets.opens(word) and not rest.startswith(FRAMES)
+        if not (is_login or is_framed or opened):
             raise nothing
         if method == "POST" and _all(scope, b"origin") != [f"{scope['scheme']}://{hosts[0]}"]:
             raise RequestRefusedError(HTTPStatus.FORBIDDEN, "not sent by the page")
         if is_login and self.login is not None:
             return self.login
+        scope[LET_IN] = True
         scope["path"], scope["raw_path"] = f"/{rest}", f"/{rest}".encode()
         return self.inner
 
@@ -180,15 +199,15 @@ def _with_headers(send: Send) -> Send:
     return sent
 
 
-async def _body(scope: Scope, receive: Receive) -> bytes:
+async def _body(scope: Scope, receive: Receive, bounds: Mapping[str, int]) -> bytes:
     """The whole body, of a stated length within the bounds and in a bounded time."""
     lengths, kind = _all(scope, b"content-length"), (_all(scope, b"content-type") or [""])[0].partition(";")[0].strip()
     if _all(scope, b"transfer-encoding") or len(lengths) != 1 or not _is_count(lengths[0]):
         raise RequestRefusedError(HTTPStatus.LENGTH_REQUIRED, "no single Content-Length")
-    if kind not in BODIES:
-        raise RequestRefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"accepted: {', '.join(BODIES)}")
-    if (size := int(lengths[0])) > BODIES[kind]:
-        raise RequestRefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {BODIES[kind]:,} bytes")
+    if kind not in bounds:
+        raise RequestRefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"accepted: {', '.join(bounds)}")
+    if (size := int(lengths[0])) > bounds[kind]:
+        raise RequestRefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {bounds[kind]:,} bytes")
     parts, end = list[bytes](), time.monotonic() + BODY_S + size / SLOWEST
     while True:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -12,7 +12,7 @@ from f3sr.core.transforms import Array
 from f3sr.edits import EditSession, edit_of, edits_json, read_edits, write_edited
 from f3sr.edits.edit_list import Edit
 from f3sr.edits.unedited import read_edited
-from f3sr.errors import F3srError, InputError
+from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.files import strict_json
 from f3sr.io.images import encode_png
 from f3sr.language.reference_resolution import names
@@ -66,21 +66,21 @@ class EditedScene:
     def add(self, edit: Any) -> None:
         """Apply an edit of a page, which names an object by id. Raises InputError."""
         known = {o.id: o.label for o in self._session.scene}
-        if not isinstance(edit, dict) or edit.get("id") not in known:
+        if not isinstance(edit, dict) or type(edit.get("id")) is not int or edit["id"] not in known:
             raise InputError("edit", found="no object of the scene", accepted="an id of the scene")
         outcome = self._session.add(edit_of({"label": known[edit["id"]], **edit}))
         if not outcome.done:  # a list keeps what a later scene may allow; a page says at once that it is not so
             self._session.undo()
             raise F3srError("; ".join(f"{d.choice}: {d.reason}" for d in outcome.decisions))
-        self._changed(outcome.seconds)
+        self._changed(outcome.seconds, back=self._session.undo)
 
     def undo(self) -> None:
         self._session.undo()
-        self._changed(0.0)
+        self._changed(0.0, back=self._session.redo)
 
     def redo(self) -> None:
         self._session.redo()
-        self._changed(0.0)
+        self._changed(0.0, back=self._session.undo)
 
     def save(self) -> None:
         """Write the package where edits are not in it yet."""
@@ -94,10 +94,15 @@ class EditedScene:
     def _session(self) -> EditSession:
         return self._opening.result()
 
-    def _changed(self, seconds: float) -> None:
-        """Keep the list of edits at once: with it everything can be made again."""
+    def _changed(self, seconds: float, *, back: Callable[[], object]) -> None:
+        """Keep the list of edits at once: with it everything can be made again. What a full disk does not keep is taken
+        back, and told."""
+        try:
+            write_whole(self.project.edits, edits_json(self._session.edits))
+        except OutputError:
+            back()
+            raise
         self._seconds, self._as_written = seconds, None
-        write_whole(self.project.edits, edits_json(self._session.edits))
 
     # --- for the page -----------------------------------------------------------------------------------------------
 

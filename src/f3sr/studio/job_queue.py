@@ -145,7 +145,8 @@ class JobQueue:
                 for job, record in list(self._unkept.values()):
                     self._keep(job, record)
                 for running in list(self._running.values()):
-                    self._look_at(running)
+                    with suppress(OSError):  # too many open files, a server of files that is away: looked at again
+                        self._look_at(running)
                 while job := self._next():
                     self._waiting.remove(job)
                     self._start(job)
@@ -197,14 +198,16 @@ class JobQueue:
     def _look_at(self, running: _Followed) -> None:
         """Whether a job has ended, or must."""
         if running.process:
-            is_over = os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            was_waited_for = running.process.returncode is not None
+            is_over = was_waited_for or os.waitid(os.P_PID, running.process.pid, flags) is not None
         else:
             is_over = running.job.pid is None
         if is_over:
-            del self._running[running.job.id]
-            if running.process:  # not waited for yet, so its number is still its group's: what it started ends too
-                running.signal(signal.SIGKILL)
+            if running.process and running.process.returncode is None:
+                running.signal(signal.SIGKILL)  # not waited for yet, so its number is its group's: what it started ends
             self._finish(running, running.process.wait() if running.process else None)
+            del self._running[running.job.id]
         elif running.asked_to_end is not None:
             if time.monotonic() - running.asked_to_end > GRACE_S:
                 running.signal(signal.SIGKILL)

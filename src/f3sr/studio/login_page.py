@@ -12,8 +12,6 @@ from f3sr.studio.access_control import AddressSecrets, App, Receive, Scope, Send
 from f3sr.web.document import WEB, document
 
 HERE = Path(__file__).parent
-LONGEST = 1000
-"""Bytes of a request with a password."""
 
 
 def login_page(secrets: AddressSecrets) -> App:
@@ -39,8 +37,8 @@ def login_page(secrets: AddressSecrets) -> App:
 
 def _password(body: bytes) -> str:
     try:
-        tree = json.loads(body[:LONGEST])
-    except ValueError:
+        tree = json.loads(body)
+    except (ValueError, RecursionError):
         return ""
     return tree["password"] if isinstance(tree, dict) and isinstance(tree.get("password"), str) else ""
 

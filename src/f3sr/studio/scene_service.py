@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from f3sr import mask_page
 from f3sr.errors import InputError
@@ -12,6 +13,7 @@ from f3sr.goals.refusal import Refusal
 from f3sr.language.planner import planned
 from f3sr.mask_page.drawing_session import Drawing, DrawingSession
 from f3sr.mask_page.loopback_server import Reply, json_reply
+from f3sr.scene_package.package_folder import SCENE
 from f3sr.segmentation.input_folder_writer import read_photo, require_writable
 from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, SEGMENTERS
 from f3sr.segmentation.selection import Selection
@@ -46,7 +48,7 @@ class SceneService:
             "view": lambda body: json_reply(self._scene().view),
             "labels": lambda body: Reply(body=self._scene().labels, kind="image/png"),
             "state": lambda body: json_reply(self._scene().state()),
-            "edit": lambda body: self._edited(lambda scene: scene.add(strict_json.loads(body)["edit"])),
+            "edit": lambda body: self._edited(lambda scene: scene.add(_asked(body)["edit"])),
             "undo": lambda body: self._edited(EditedScene.undo),
             "redo": lambda body: self._edited(EditedScene.redo),
             "saved": lambda body: self._saved(),
@@ -79,6 +81,8 @@ class SceneService:
     # --- the scene -------------------------------------------------------------------------------------------------
 
     def _scene(self) -> EditedScene:
+        if not (self.project.package / SCENE).is_file():
+            raise InputError("the project", found="no scene", accepted="one whose scene is made")
         with self._lock:
             if self._edits is None or self._edits.is_old():
                 self._edits = EditedScene(self.project)
@@ -111,12 +115,20 @@ class SceneService:
 
     def _understand(self, body: bytes) -> Reply:
         """What the rules make of words, without playing it."""
-        goal, scene = str(strict_json.loads(body)["goal"]), self._scene().scene
+        goal, scene = str(_asked(body)["goal"]), self._scene().scene
         found = planned(goal, scene)
         if isinstance(found, Refusal):
             return json_reply({"refused": found.message})
         task = found.readings[0]
         return json_reply({"interpretation": task.interpretation, "assumptions": list(task.assumptions)})
+
+
+def _asked(body: bytes) -> dict[str, Any]:
+    """What a page sent, as the server hands it on. Raises InputError for numbers and depths beyond reason."""
+    try:
+        return strict_json.loads(body)
+    except ValueError as error:
+        raise InputError("the request", found=str(error), accepted="what a page sends") from None
 
 
 def _outlining(project: Project) -> DrawingSession:

@@ -20,6 +20,9 @@ from f3sr.runtime.subprocesses import started
 
 MOST_PROCESSES = 3
 """At once: each holds a scene in memory, about half a gigabyte."""
+MOST_CALLS = 12
+"""Of one project that wait for an answer: all processes together leave some of the server's 40 threads free. A page
+that opens makes six."""
 IDLE_S = 900.0
 """After so long without a call a process ends [s]; the next call starts it again."""
 CALL_S = 300.0
@@ -51,10 +54,13 @@ class ServiceClient:
         return bool(self._waiting)
 
     def call(self, name: str, body: bytes = b"") -> Reply:
-        """The answer to a call. Raises ServiceEndedError where the process ends or does not answer."""
+        """The answer to a call. Raises ServiceEndedError where the process ends or does not answer, F3srError where too
+        many calls wait."""
         self.used, number, answer = time.monotonic(), next(self._numbers), Future[Reply]()
         request = json.dumps({"id": number, "call": name, "size": len(body)}).encode() + b"\n" + body
         with self._lock:
+            if len(self._waiting) >= MOST_CALLS:
+                raise F3srError(f"the project is at work: {MOST_CALLS} questions wait already; try again in a moment")
             self._waiting[number] = answer
             with suppress(OSError):  # told by the thread that reads
                 stdin = cast(IO[bytes], self._process.stdin)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,7 @@ from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response, StreamingResponse
 
@@ -53,8 +55,12 @@ KINDS = {
     ".json": "application/json",
 }
 """Media types of files that pages show; all others are bytes to be saved."""
-SANDBOX = f"sandbox allow-scripts; {FRAMED}"
-"""Policy of files of packages: their scripts run, with no origin that could ask this server for anything."""
+SANDBOX = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    f"img-src 'self' data:; media-src 'self' data:; base-uri 'none'; form-action 'none'; {FRAMED}"
+)
+"""Policy of files of packages: their scripts run, with no origin that could ask this server for anything, and no way to
+tell others what they see."""
 
 
 class _Asked(BaseModel):
@@ -97,6 +103,7 @@ class StudioApp:
         app.add_exception_handler(RequestValidationError, _misshapen)
         app.add_exception_handler(F3srError, _problem)
         app.add_exception_handler(OSError, _problem)
+        app.add_exception_handler(HTTPException, _refused)
         for method, path, route in self._routes():
             app.add_api_route(path, route, methods=[method], response_model=None)
         return app
@@ -169,7 +176,7 @@ class StudioApp:
         return {"id": self.workspace.create_example().id}
 
     def from_folder(self, asked: FolderAsked) -> dict[str, str]:
-        return {"id": self.workspace.create_folder(Path(asked.folder).expanduser()).id}
+        return {"id": self.workspace.create_folder(Path(asked.folder)).id}
 
     def state(self, id: str) -> dict[str, Any]:
         files = self._files(self.workspace.project(id))
@@ -187,10 +194,10 @@ class StudioApp:
     # --- the project's process ---------------------------------------------------------------------------------------
 
     def edit(self, id: str, asked: EditAsked) -> Response:
-        return self._call(id, "edit", asked.model_dump_json().encode())
+        return self._call(id, "edit", json.dumps(asked.model_dump()).encode())
 
     def understand(self, id: str, asked: GoalAsked) -> Response:
-        return self._call(id, "understand", asked.model_dump_json().encode())
+        return self._call(id, "understand", json.dumps(asked.model_dump()).encode())
 
     def outline(self, id: str) -> Response:
         """The page that outlines objects: a document with a policy of its own."""
@@ -271,8 +278,10 @@ class StudioApp:
         return _file(self._files(self.workspace.project(id)).film(number))
 
     def zipped(self, id: str, name: str) -> Response:
-        """A package or an export as a ZIP file, made while it is sent."""
+        """A package with all its edits, or an export, as a ZIP file that is made while it is sent."""
         files = self._files(self.workspace.project(id))
+        if name == "package":
+            self.clients.call(files.project.folder, "saved")
         called, parts = files.zipped(name)
         headers = {"Content-Disposition": f'attachment; filename="{called}"'}
         return StreamingResponse(parts, media_type="application/zip", headers=headers)
@@ -324,6 +333,11 @@ def _misshapen(request: Request, error: Any) -> Response:
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"] if part != "body") or "the request"
     return _line(HTTPStatus.UNPROCESSABLE_ENTITY, f"{place}: {first['msg']}")
+
+
+def _refused(request: Request, error: Any) -> Response:
+    """A path that no page has, or a body that is no JSON."""
+    return _line(HTTPStatus(error.status_code), str(error.detail))
 
 
 def _line(status: HTTPStatus, line: str) -> Response:

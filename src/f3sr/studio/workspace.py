@@ -176,9 +176,13 @@ class Workspace:
         """A project of a copy of an input folder or a package, or of what another program left (docs: importing).
 
         Raises InputError for anything else."""
-        source = Path(source).expanduser().absolute()
         accepted = f"{INPUT_FOLDER}, {PACKAGE}, or what another program left"
-        if not source.is_dir() and source.suffix.lower() != ".glb":
+        try:
+            source = Path(source).expanduser().absolute()
+            is_folder = source.is_dir()
+        except (OSError, RuntimeError) as error:  # a name that is too long, the home of nobody
+            raise InputError(source, found=reason(error), accepted=accepted) from error
+        if not is_folder and source.suffix.lower() != ".glb":
             raise InputError(source, found="a file" if source.exists() else "nothing there", accepted=accepted)
         if self.folder.is_relative_to(source) or source.is_relative_to(self.folder):
             raise InputError(source, found="the workspace itself", accepted="a folder outside it")
