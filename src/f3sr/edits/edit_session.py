@@ -139,6 +139,12 @@ class EditSession:
         self._undone.append(self._outcomes.pop())
         return self.outcome
 
+    def discard(self) -> EditOutcome:
+        """The state before the last edit, which is forgotten: ``redo`` does not bring it back. Raises InputError."""
+        outcome = self.undo()
+        self._undone.pop()
+        return outcome
+
     def redo(self) -> EditOutcome:
         """The state after the edit that was undone last. Raises InputError where there is none."""
         if not self.can_redo:

@@ -70,9 +70,9 @@ class EditedScene:
             raise InputError("edit", found="no object of the scene", accepted="an id of the scene")
         outcome = self._session.add(edit_of({"label": known[edit["id"]], **edit}))
         if not outcome.done:  # a list keeps what a later scene may allow; a page says at once that it is not so
-            self._session.undo()
+            self._session.discard()
             raise F3srError("; ".join(f"{d.choice}: {d.reason}" for d in outcome.decisions))
-        self._changed(outcome.seconds, back=self._session.undo)
+        self._changed(outcome.seconds, back=self._session.discard)
 
     def undo(self) -> None:
         self._session.undo()

@@ -16,9 +16,12 @@ const project = {
   ask: (path, value) => ask(path, value),
   async refresh() {
     project.state = await ask("state");
+    project.tell();
+    return project.state;
+  },
+  tell() {
     for (const step of Object.values(STEPS)) step.changed?.(project);
     offered();
-    return project.state;
   },
   /** Begins a job, and follows it: `heard(event)` of each of its events. The job as it ended. */
   async job(kind, options, heard) {
@@ -78,8 +81,9 @@ addEventListener("hashchange", () => {
   $("main").focus({ preventScroll: true });
 });
 try {
-  await project.refresh();
-  for (const step of Object.values(STEPS)) await step.begin?.(project);
+  project.state = await ask("state");
+  for (const step of Object.values(STEPS)) step.begin?.(project); // listeners first: nothing is enabled that nobody hears
+  project.tell();
   show();
   say(`Project ${project.state.name}`);
 } catch (error) {

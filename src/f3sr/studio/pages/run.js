@@ -77,7 +77,7 @@ const tell = (ended) => {
 };
 
 export const run = {
-  async begin(project) {
+  begin(project) {
     const choices = project.state.choices;
     for (const [name, none] of [["geometry", "from the photo, or as the folder has it"], ["assets", "lifted from the masks, or as the folder has them"], ["background", "completed by f3sr"]]) {
       $(OPTIONS[name]).append(element("option", { value: "", text: none }), ...choices[name].filter((c) => c.met).map((c) => element("option", { value: c.name, text: c.name })));
