@@ -173,6 +173,21 @@ def test_an_answer_that_does_not_come_is_told(tab: Any, scene: str) -> None:
     assert len(tab.said) == 1 and "ERR_FAILED" in tab.said.pop()
 
 
+def test_one_click_deletes_nothing_and_two_thoughts_do(tab: Any, server: StudioServer) -> None:
+    tab.goto(server.address)
+    tab.click("#example")
+    tab.wait_for_selector("#step-run:not([hidden])")
+    tab.goto(server.address)
+    card = tab.locator("#projects li", has_text="Example")
+    tab.wait_for_timeout(2500)
+    card.locator(".quiet-button").dblclick()
+    assert card.locator(".quiet-button").inner_text() == "Delete it?"
+    tab.wait_for_timeout(1100)
+    card.locator(".quiet-button").click()
+    tab.wait_for_selector("#note:has-text('Example is deleted.')")
+    assert card.count() == 0
+
+
 def test_a_photo_is_refused_in_words(tab: Any, server: StudioServer, tmp_path: Path) -> None:
     (tmp_path / "notes.png").write_text("no picture")
     tab.goto(server.address)

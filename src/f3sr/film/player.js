@@ -14,7 +14,7 @@
   slider.disabled = false;
   const framed = parent !== window; // in another page, which knows the goal and gives as much height as is needed
   document.documentElement.classList.toggle("framed", framed);
-  if (framed) new ResizeObserver(() => parent.postMessage({ height: document.documentElement.scrollHeight }, "*")).observe(document.body);
+  if (framed) new ResizeObserver(() => parent.postMessage({ height: document.body.offsetHeight }, "*")).observe(document.body);
 
   // --- the rollout ----------------------------------------------------------------------------------------------
 
@@ -248,4 +248,5 @@
     /** Whether the film, or word that there is none, and all textures are here. */
     get loaded() { return (filmFails || film.readyState > 1) && (!view || view.loaded); },
   };
+  if (framed) film.addEventListener("loadeddata", play, { once: true }); // somebody has just asked for it
 })();

@@ -6,6 +6,7 @@
   const LEAST = 4; // CSS pixels that a drag must have to be a box, and pixels of its sides
   const NEAR = { mouse: 9, pen: 14, touch: 24 }; // CSS pixels from a corner that still take it
   const MOST_POINTS = 1000; // of a stroke
+  const SAVE = parent === window ? "Save" : "Save and go on";
   const FRAMED = parent !== window; // in another page of the same server, which goes on once this one has saved
   const NO_SERVER = "The program in the terminal does not answer. If it has ended, nothing more can be saved here.";
 
@@ -507,7 +508,7 @@
       const told = await post("save", { page: given.page, revision, selection: marks.selection() });
       return finished(`Saved ${count} ${count === 1 ? "object" : "objects"} and the ground`, told);
     } catch (error) {
-      $("save").textContent = "Save";
+      $("save").textContent = SAVE;
       closing = false;
       const behind = answered !== revision; // drawn while it was saved
       show();
@@ -550,6 +551,7 @@
 
   $("where").textContent = `Will be saved in ${given.folder}`;
   for (const id of ["cancel", "where"]) $(id).hidden = FRAMED;
+  $("save").textContent = SAVE;
   stay();
   show();
   if (marks.objects.length || marks.ground.inside.length) ask();

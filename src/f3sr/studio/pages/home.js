@@ -41,21 +41,21 @@ const STATES = { photo: "photo: to be outlined", outlined: "outlined: to be made
 const SURE_MS = [1000, 6000]; // after the first click, in which a second one deletes
 const date = (seconds) => new Date(1000 * seconds).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 const card = (project) => {
-  const name = element("bdi", { text: project.name }), facts = [STATES[project.state], project.job, project.rollouts ? `${project.rollouts} played` : "", project.created ? date(project.created) : ""];
+  const name = element("bdi", { text: project.name }), facts = [project.job || STATES[project.state], project.rollouts ? `${project.rollouts} played` : "", project.created ? date(project.created) : ""];
   const inside = [
     project.picture ? element("img", { src: `p/${project.id}/thumb.jpg`, alt: "", loading: "lazy" }) : element("span", { class: "blank", "aria-hidden": "true" }),
     element("span", { class: "name" }, name),
     element("span", { class: "fine", text: facts.filter(Boolean).join(" · ") }),
   ];
   const remove = element("button", { type: "button", class: "quiet-button", text: "Delete", "aria-label": `Delete ${project.name}` });
-  let asked = 0;
+  let asked = -Infinity; // when the first click was
   remove.addEventListener("click", () => {
     const since = performance.now() - asked;
     if (since < SURE_MS[0]) return; // a double click is no second thought
     if (since < SURE_MS[1]) return busy(remove, async () => {
       await ask(`p/${project.id}/delete`, {});
-      note(`${project.name} is deleted.`);
       await list();
+      note(`${project.name} is deleted.`);
     });
     asked = performance.now();
     remove.textContent = `Delete it${project.rollouts ? ", its films" : ""}${project.job ? ", and end its job" : ""}?`;

@@ -42,10 +42,11 @@ const follow = async (project, id, kept = []) => {
     } else {
       const told = ended.result;
       $("play-state").className = told.state === "refused" ? "bad" : "";
-      $("play-state").textContent = told.state === "refused" ? told.message : told.said;
+      $("play-state").textContent = told.state === "refused" ? told.message : "";
+      if (told.said) say(told.said);
       if (told.rollout) await list(project, [...kept, told.rollout]);
     }
-    say($("play-state").textContent);
+    if ($("play-state").textContent) say($("play-state").textContent);
   } finally {
     still();
     job = null;
@@ -84,6 +85,8 @@ const draw = (project) => {
   const there = new Map([...$("shown").children].map((e) => [Number(e.dataset.number), e]));
   $("shown").replaceChildren(...shown.map((n) => there.get(n) || player(project, rollouts.find((r) => r.number === n))));
   $("shown").classList.toggle("several", shown.length > 1);
+  $("play-photo").hidden = shown.length > 0;
+  if (!shown.length) $("play-photo").querySelector("img").src = `photo.jpg?${project.state.version}`;
   for (const button of $("rollouts").querySelectorAll("button[data-number]")) button.setAttribute("aria-pressed", String(shown.includes(Number(button.dataset.number))));
 };
 
@@ -108,6 +111,7 @@ export const play = {
   refused: false,
   begin(project) {
     $("goal").addEventListener("input", () => {
+      complain(null);
       clearTimeout(wait);
       wait = setTimeout(understand, WAIT_MS);
     });

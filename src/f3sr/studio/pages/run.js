@@ -27,6 +27,7 @@ const options = () => {
 const clear = () => {
   done = 0;
   for (const place of ["run-stages", "run-told", "run-pictures"]) $(place).replaceChildren();
+  $("run-legend").hidden = true;
 };
 
 const heard = (project) => (event) => {
@@ -42,6 +43,8 @@ const heard = (project) => (event) => {
     if (event.state !== "started") $("run-progress").value = ++done / Object.keys(WORDS).length;
     else say(words);
   } else if (event.event === "picture") {
+    $("run-given").hidden = true;
+    $("run-legend").hidden = false;
     const title = TITLES[event.name] || event.name;
     $("run-pictures").append(element("figure", {}, element("img", { src: `jobs/${job}/pictures/${event.file}`, alt: `${title}: the scene over the photo` }), element("figcaption", { text: title })));
   } else if (event.event === "decision" && event.fallback) {
@@ -56,7 +59,6 @@ const follow = async (project, id) => {
   $("run-next").hidden = true;
   for (const place of ["run-cancel", "run-progress"]) $(place).hidden = false;
   $("run-state").textContent = "";
-  $("run-given").hidden = true;
   try {
     const ended = await project.follow(id, heard(project));
     tell(ended);
@@ -98,7 +100,7 @@ export const run = {
   },
   changed({ state }) {
     $("run-what").replaceChildren(...(state.outlined ? [`${state.masks} ${state.masks === 1 ? "object is" : "objects are"} outlined.`, state.outdated ? element("b", { text: " The outlines are newer than the scene: make it again." }) : ""] : ["Nothing is outlined yet: ", element("a", { href: "#outline", text: "outline the objects" }), " first."]));
-    $("run-given").hidden = job !== null || $("run-pictures").childElementCount > 0 || !state.outlined;
+    $("run-given").hidden = $("run-pictures").childElementCount > 0 || !state.outlined;
     if (!$("run-given").hidden) $("run-given").querySelector("img").src = `masks.jpg?${state.masks}-${state.outdated}`;
     $("run-start").classList.toggle("main", !state.scene || state.outdated);
     $("run-remarks").replaceChildren(...state.remarks.map((text) => element("li", { text })));

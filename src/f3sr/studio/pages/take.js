@@ -21,7 +21,10 @@ const follow = async (project, kind, options, done) => {
 export const take = {
   begin(project) {
     checks("formats", project.state.choices.formats, (name) => ["usd", "urdf", "sdf", "mjcf"].includes(name));
-    checks("engines", project.state.choices.engines, () => true);
+    const engines = project.state.choices.engines, absent = engines.filter((c) => !c.met);
+    checks("engines", engines.filter((c) => c.met), () => true);
+    $("engines-absent").replaceChildren(...absent.map((c) => element("li", { text: `${c.name}: ${c.found}` })));
+    $("engines-more").hidden = !absent.length;
     $("take-package").href = "package.zip";
     $("take-export").href = "export.zip";
     $("export-form").addEventListener("submit", (e) => {
