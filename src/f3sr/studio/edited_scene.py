@@ -28,7 +28,7 @@ from f3sr.web.document import clean
 from f3sr.web.light_mesh import lightened
 from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh, packed_parts
 
-FACES, FACES_EACH = 64_000, (2_000, 20_000)
+FACES, FACES_EACH = 48_000, (2_000, 20_000)
 """Triangles of all meshes in the view, and fewest and most of one: without a graphics card they turn smoothly."""
 TEXTURE = 512
 """Longest side of a texture in the view [px]."""
