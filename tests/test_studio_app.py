@@ -179,6 +179,12 @@ def test_boxes_become_masks_by_way_of_the_project_s_process(server: StudioServer
     asked = {"page": opened["page"], "revision": 1, "selection": selection}
     status, told = server.post(f"{place}outline/outline", asked)
     assert status == 200 and len(told["masks"]) == 1, told
+    assert server.post(f"{place}outline/segmenter", {"segmenter": "nobody"})[0] == 422
+    assert server.post(f"{place}outline/segmenter", {"segmenter": "grabcut"})[0] == 200
+    assert server.state(f"{place}state")["segmenter"] == "grabcut"
+    opened = server.post(f"{place}outline/open")[1]  # a session of its own, with what was drawn
+    assert opened["selection"]["prompts"][0]["label"] == "red thing"
+    asked = {"page": opened["page"], "revision": 1, "selection": selection}
     status, told = server.post(f"{place}outline/save", asked)
     assert status == 200, told
     state = server.state(f"{place}state")
@@ -216,6 +222,17 @@ def test_a_scene_is_shown_edited_undone_and_written(server: StudioServer, scene:
     assert redone["objects"] == after["objects"]
     server.clients.call(project.folder, "saved")
     assert read_package(project.package).scene[2].T_world_object[0, 3] == pytest.approx(poses[1][2][3], abs=1e-9)
+
+
+def test_two_pages_edit_one_scene_one_after_another(server: StudioServer, scene: str) -> None:
+    edits = [{"kind": "label", "id": k, "to": f"thing {k}"} for k in range(4)]
+    with ThreadPoolExecutor(4) as pages:
+        answers = list(pages.map(lambda e: server.post(f"{scene}scene/edits", {"edit": e}), edits))
+    assert [status for status, _ in answers] == [200] * 4
+    state = server.state(f"{scene}scene/state")
+    assert {o["label"] for o in state["objects"]} == {f"thing {k}" for k in range(4)} and len(state["edits"]) >= 4
+    for _ in edits:
+        server.post(f"{scene}scene/undo")
 
 
 def test_edits_survive_the_process_that_made_them(server: StudioServer, scene: str) -> None:

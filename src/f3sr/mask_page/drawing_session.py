@@ -67,6 +67,12 @@ class DrawingSession:
         self._ground_known: tuple[bytes, NDArray[np.bool_]] | None = None
         self._photo = shown_photo(drawing.photo)
 
+    @property
+    def selection(self) -> Selection:
+        """What is drawn now."""
+        with self._state:
+            return self._selection
+
     def photo(self, body: bytes) -> Reply:
         return Reply(body=self._photo, kind="image/jpeg")
 

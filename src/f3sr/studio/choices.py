@@ -14,8 +14,10 @@ from f3sr.certificate.clients_table import CLIENTS, Client
 from f3sr.exporters.protocol import EXPORTERS
 from f3sr.lifting.generators import ASSET_GENERATORS
 from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+from f3sr.segmentation.segmenters import SEGMENTERS
 
 KINDS: dict[str, tuple[Kind[Any], tuple[str, ...]]] = {
+    "segmenters": (SEGMENTERS, ()),
     "geometry": (GEOMETRY_ESTIMATORS, ()),
     "assets": (ASSET_GENERATORS, ()),
     "background": (BACKGROUND_COMPLETERS, (DEFAULT_COMPLETER,)),

@@ -78,6 +78,7 @@ class ProjectFiles:
             "options": project.options,
             "outdated": bool(self.version) and project.outlines_changed.exists(),
             "remarks": list(project.remarks),
+            "segmenter": project.segmenter,
             "exported": project.exported.is_dir(),
             "certified": project.certificate.is_dir(),
         }

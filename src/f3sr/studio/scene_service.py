@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from f3sr import mask_page
@@ -44,6 +45,7 @@ class SceneService:
             "outline/outline": lambda body: self._outlined().outline(body),
             "outline/ground": lambda body: self._outlined().ground(body),
             "outline/save": self._save_outlines,
+            "outline/segmenter": self._segment_with,
             "outline/cancel": lambda body: self._outlined().cancel(body),
             "view": lambda body: json_reply(self._scene().view),
             "labels": lambda body: Reply(body=self._scene().labels, kind="image/png"),
@@ -71,6 +73,14 @@ class SceneService:
             if self._outlining is None:
                 self._outlining = _outlining(self.project)
             return self._outlining
+
+    def _segment_with(self, body: bytes) -> Reply:
+        """Another back end cuts objects out; what is drawn stays."""
+        segmenter = SEGMENTERS.find(str(strict_json.loads(body)["segmenter"]))
+        with self._lock:
+            before = self._outlined()
+            self._outlining = DrawingSession(replace(before.drawing, segmenter=segmenter), before.selection)
+        return json_reply({})
 
     def _save_outlines(self, body: bytes) -> Reply:
         reply = self._outlined().save(body)
@@ -140,7 +150,7 @@ def _outlining(project: Project) -> DrawingSession:
         photo=read_photo(project.photo),
         file=project.photo,
         folder=folder,
-        segmenter=SEGMENTERS.find(DEFAULT_SEGMENTER),
+        segmenter=SEGMENTERS.find(project.segmenter or DEFAULT_SEGMENTER),
         name=project.name,
         after=AFTER,
     )

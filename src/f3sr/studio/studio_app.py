@@ -80,6 +80,10 @@ class EditAsked(_Asked):
     edit: dict[str, Any]
 
 
+class SegmenterAsked(_Asked):
+    segmenter: Annotated[str, Field(min_length=1, max_length=200)]
+
+
 class GoalAsked(_Asked):
     goal: Annotated[str, Field(max_length=2000)]
 
@@ -125,6 +129,7 @@ class StudioApp:
         yield "GET", "/p/{id}/outline/alive", self.alive
         for name in OUTLINE_POSTS:
             yield "POST", f"/p/{{id}}/outline/{name}", self._asked(f"outline/{name}")
+        yield "POST", "/p/{id}/outline/segmenter", self.segment_with
         yield "GET", "/p/{id}/scene/view", self._served("view")
         yield "GET", "/p/{id}/scene/labels.png", self._served("labels")
         yield "GET", "/p/{id}/scene/state", self._served("state")
@@ -192,6 +197,12 @@ class StudioApp:
         return {}
 
     # --- the project's process ---------------------------------------------------------------------------------------
+
+    def segment_with(self, id: str, asked: SegmenterAsked) -> Response:
+        answer = self._call(id, "outline/segmenter", asked.model_dump_json().encode())
+        if answer.status_code == HTTPStatus.OK:
+            self.workspace.keep_segmenter(self.workspace.project(id), asked.segmenter)
+        return answer
 
     def edit(self, id: str, asked: EditAsked) -> Response:
         return self._call(id, "edit", json.dumps(asked.model_dump()).encode())

@@ -58,6 +58,8 @@ class _ProjectRecord(BaseModel):
     photo: Literal["", "photo.png", "photo.jpg"] = ""
     options: dict[str, Any] = {}
     """Of the last run."""
+    segmenter: Annotated[str, Field(max_length=200)] = ""
+    """Back end that cuts objects out; empty for the default."""
     remarks: list[Annotated[str, Field(max_length=2000)]] = []
     """What was assumed when another program's folder was read."""
 
@@ -73,6 +75,7 @@ class Project:
     """The file that was uploaded; None where the project began with a folder."""
     options: dict[str, Any] = field(default_factory=dict[str, Any])
     remarks: tuple[str, ...] = ()
+    segmenter: str = ""
     problem: str = ""
 
     @property
@@ -197,6 +200,11 @@ class Workspace:
         record = _record(project.folder / RECORD).model_copy(update={"options": options})
         write_whole(project.folder / RECORD, record.model_dump_json(indent=1).encode())
 
+    def keep_segmenter(self, project: Project, name: str) -> None:
+        """Remember which back end cuts objects out."""
+        record = _record(project.folder / RECORD).model_copy(update={"segmenter": name})
+        write_whole(project.folder / RECORD, record.model_dump_json(indent=1).encode())
+
     def delete(self, id: str) -> None:
         """Take a project away: first out of sight, then from the disk. Raises InputError where there is none."""
         folder = self._folder(id)
@@ -298,7 +306,9 @@ def _read(folder: Path) -> Project:
     except F3srError as error:
         return Project(folder, problem=str(error))
     photo = folder / record.photo if record.photo else None
-    return Project(folder, _shown_name(record.name), record.created, photo, record.options, tuple(record.remarks))
+    return Project(
+        folder, _shown_name(record.name), record.created, photo, record.options, tuple(record.remarks), record.segmenter
+    )
 
 
 def _copy(source: Path, target: Path) -> None:
