@@ -19,6 +19,7 @@ pytest.importorskip("fastapi", reason="the extra studio is not installed")
 
 from PIL import Image
 
+from f3sr.mask_page.loopback_server import json_reply
 from f3sr.scene_package.package import read_package
 from f3sr.studio import service_clients
 from resting_boxes import resting_boxes
@@ -308,6 +309,20 @@ def test_a_job_that_no_page_asks_for_is_not_begun(
 ) -> None:
     status, told = server.post(f"{scene}jobs", {"kind": kind, "options": options})
     assert status == 422 and "accepted: " in told["problem"]
+    assert server.state(f"{scene}state")["jobs"] == []
+
+
+def test_no_job_begins_on_a_package_that_lacks_edits(
+    server: StudioServer, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk may keep the package from being written; the goal would be played in an older scene."""
+    full = json_reply({"problem": "the disk is full"}, status=409)
+    monkeypatch.setattr(server.clients, "call", lambda folder, name, body=b"": full)
+    for status, told in (
+        server.post(f"{scene}jobs", {"kind": "play", "options": {"goal": "push the brick"}}),
+        (server.get(f"{scene}package.zip")[0], json.loads(server.get(f"{scene}package.zip")[1])),
+    ):
+        assert (status, told) == (409, {"problem": "the disk is full"})
     assert server.state(f"{scene}state")["jobs"] == []
 
 

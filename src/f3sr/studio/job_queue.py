@@ -109,6 +109,12 @@ class JobQueue:
         """All jobs of a project, the oldest first."""
         return jobs_in(project.jobs)
 
+    def going(self, project: Project) -> list[JobFolder]:
+        """The jobs of a project that run or wait, those that run first."""
+        with self._lock:
+            jobs = [*(running.job for running in self._running.values()), *self._waiting]
+        return [job for job in jobs if job.project == project.folder]
+
     def job(self, project: Project, id: str) -> JobFolder:
         """Raises InputError where the project has no such job."""
         job = JobFolder(project.jobs / id) if ID.fullmatch(id) else None

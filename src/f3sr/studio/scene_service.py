@@ -76,7 +76,7 @@ class SceneService:
 
     def _segment_with(self, body: bytes) -> Reply:
         """Another back end cuts objects out; what is drawn stays."""
-        segmenter = SEGMENTERS.find(str(strict_json.loads(body)["segmenter"]))
+        segmenter = SEGMENTERS.find(str(_asked(body)["segmenter"]))
         with self._lock:
             before = self._outlined()
             self._outlining = DrawingSession(replace(before.drawing, segmenter=segmenter), before.selection)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from http import HTTPStatus
@@ -166,12 +167,13 @@ class StudioApp:
     # --- projects --------------------------------------------------------------------------------------------------
 
     def projects(self) -> dict[str, Any]:
-        return {"projects": [self._files(p).summary() | {"job": self._going(p)} for p in self.workspace.listed()]}
+        return {"projects": [ProjectFiles(p).summary() | {"job": self._going(p)} for p in self.workspace.listed()]}
 
     def _going(self, project: Project) -> str:
         """What is being done in a project, in words."""
-        going = [job.told() for job in self.queue.jobs(project)]
-        return next((GOING[job["kind"]] for job in going if job["state"] in ("queued", "running")), "")
+        with suppress(InputError):  # a damaged record hides no project
+            return next((GOING[job.record.kind] for job in self.queue.going(project)), "")
+        return ""
 
     async def from_photo(self, request: Request, name: str = "photo") -> dict[str, str]:
         data = await request.body()
@@ -184,7 +186,7 @@ class StudioApp:
         return {"id": self.workspace.create_folder(Path(asked.folder)).id}
 
     def state(self, id: str) -> dict[str, Any]:
-        files = self._files(self.workspace.project(id))
+        files = self._files(id)
         jobs = [job.told() for job in self.queue.jobs(files.project)]
         framed = f"/{self.secrets.framed}/{FRAMES}{files.project.id}/"
         return files.state() | {"jobs": jobs, "framed": framed, "choices": self.choices}
@@ -254,7 +256,8 @@ class StudioApp:
 
     def begin(self, id: str, asked: JobAsked) -> dict[str, Any]:
         project = self.workspace.project(id)
-        self.clients.call(project.folder, "saved")
+        if asked.kind != ReconstructOptions.kind:  # which makes the package anew, from the list of edits
+            self._written(project)
         job = self.queue.submit(project, asked.kind, asked.options)
         if asked.kind == ReconstructOptions.kind:
             self.workspace.keep_options(project, asked.options)
@@ -280,32 +283,38 @@ class StudioApp:
     # --- files -------------------------------------------------------------------------------------------------------
 
     def rollouts(self, id: str) -> dict[str, Any]:
-        return {"rollouts": self._files(self.workspace.project(id)).rollouts()}
+        return {"rollouts": self._files(id).rollouts()}
 
     def strip(self, id: str, number: int) -> Response:
-        return _file(self._files(self.workspace.project(id)).strip(number))
+        return _file(self._files(id).strip(number))
 
     def film(self, id: str, number: int) -> Response:
-        return _file(self._files(self.workspace.project(id)).film(number))
+        return _file(self._files(id).film(number))
 
     def zipped(self, id: str, name: str) -> Response:
         """A package with all its edits, or an export, as a ZIP file that is made while it is sent."""
-        files = self._files(self.workspace.project(id))
+        files = self._files(id)
         if name == "package":
-            self.clients.call(files.project.folder, "saved")
+            self._written(files.project)
         called, parts = files.zipped(name)
         headers = {"Content-Disposition": f'attachment; filename="{called}"'}
         return StreamingResponse(parts, media_type="application/zip", headers=headers)
 
     def framed(self, id: str, path: str) -> Response:
         """A file of a package for a frame: it may come from others, so it has no rights here."""
-        answer = _file(self._files(self.workspace.project(id)).inside(path))
+        answer = _file(self._files(id).inside(path))
         answer.headers["Content-Security-Policy"] = SANDBOX
         answer.headers["Cross-Origin-Resource-Policy"] = "cross-origin"
         return answer
 
-    def _files(self, project: Project) -> ProjectFiles:
-        return ProjectFiles(project)
+    def _files(self, id: str) -> ProjectFiles:
+        return ProjectFiles(self.workspace.project(id))
+
+    def _written(self, project: Project) -> None:
+        """Have the package hold all edits before it is read. Raises F3srError where it cannot."""
+        reply = self.clients.call(project.folder, "saved")
+        if reply.status != HTTPStatus.OK:
+            raise F3srError(json.loads(reply.body)["problem"])
 
     @cached_property
     def choices(self) -> dict[str, list[dict[str, Any]]]:

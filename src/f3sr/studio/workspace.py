@@ -197,12 +197,14 @@ class Workspace:
 
     def keep_options(self, project: Project, options: dict[str, Any]) -> None:
         """Remember the options of a run for the next one."""
-        record = _record(project.folder / RECORD).model_copy(update={"options": options})
-        write_whole(project.folder / RECORD, record.model_dump_json(indent=1).encode())
+        self._keep(project, options=options)
 
     def keep_segmenter(self, project: Project, name: str) -> None:
         """Remember which back end cuts objects out."""
-        record = _record(project.folder / RECORD).model_copy(update={"segmenter": name})
+        self._keep(project, segmenter=name)
+
+    def _keep(self, project: Project, **changed: Any) -> None:
+        record = _record(project.folder / RECORD).model_copy(update=changed)
         write_whole(project.folder / RECORD, record.model_dump_json(indent=1).encode())
 
     def delete(self, id: str) -> None:
