@@ -33,7 +33,7 @@ def corner_normals(mesh: Mesh, crease: float = CREASE) -> NDArray[np.float32]:
     sums = np.empty((len(corner), 3))
     for corners, k, face in _pairs(corner, len(places)):
         own = k // 3
-        dot = (flat.take(own, 0) * flat.take(face, 0)).sum(1)
+        dot = np.einsum("ij,ij->i", flat.take(own, 0), flat.take(face, 0))
         near = (face != own) & (dot > np.cos(crease) * length.take(own) * length.take(face))
         first = corners[0]
         into, added = np.concatenate([corners, k[near]]) - first, np.concatenate([corners // 3, face[near]])

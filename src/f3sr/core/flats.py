@@ -7,6 +7,8 @@ body rocks from face to face by micrometres, and friction lets it creep by centi
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,34 @@ from f3sr.core.transforms import Array
 
 ROUNDING = 1e-12
 """What lies this far behind a plane is on it [size of the part]."""
+PARALLEL = 1e-6
+"""Sine of an angle at which directions are one."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShortestWay:
+    """The shortest ``way`` (3,) of a point onto some planes, and an orthonormal ``basis`` (k, 3) of their normals."""
+
+    basis: Array
+    way: Array
+
+    @classmethod
+    def none(cls) -> Self:
+        """To stay where one is."""
+        return cls(basis=np.zeros((0, 3)), way=np.zeros(3))
+
+    def onto(self, normal: Array, ahead: float, slack: float) -> Self | None:
+        """Also onto a plane with unit ``normal`` (3,), which lies ``ahead`` of the point along it.
+
+        None where it has no point in common with the others, up to ``slack`` (same unit). Of the normal only what is
+        new moves the point further (Gram-Schmidt), so its way remains the shortest."""
+        new = normal
+        for _ in range(2):  # twice is enough against rounding
+            new = new - (self.basis @ new) @ self.basis
+        size, lacking = float(np.sqrt(new @ new)), ahead - float(normal @ self.way)
+        if size > PARALLEL:
+            return type(self)(basis=np.vstack([self.basis, new / size]), way=self.way + lacking / size**2 * new)
+        return self if abs(lacking) <= slack else None
 
 
 def flattened(part: ConvexPart, within: float) -> ConvexPart:
@@ -24,15 +54,15 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
     A flat has at least four vertices, for a triangle is plane. The part grows: a vertex moves outward onto the planes
     of all its flats, those of large faces first. It moves by no more than ``within``, else it stays off that flat. So
     none passes the plane of another flat. The part itself if all of that is so already."""
-    planes = [np.zeros((0, 4)) for _ in part.vertices]
-    ways = np.zeros_like(part.vertices)
+    met, rounding = [ShortestWay.none() for _ in part.vertices], ROUNDING * np.ptp(part.vertices, axis=0).max()
     for plane, on in facets(part, within):
         for v in np.flatnonzero(on) if on.sum() > 3 else ():
-            both = np.concatenate([planes[v], plane[None]])
-            way = np.linalg.pinv(both[:, :3]) @ -(both[:, :3] @ part.vertices[v] + both[:, 3])
-            if len(both) <= 3 and np.linalg.norm(way) <= within:
-                planes[v], ways[v] = both, way
-    if np.abs(ways).max() <= ROUNDING * np.ptp(part.vertices, axis=0).max():
+            if len(met[v].basis) < 3:
+                more = met[v].onto(plane[:3], -float(plane[:3] @ part.vertices[v] + plane[3]), rounding)
+                if more is not None and more.way @ more.way <= within**2:
+                    met[v] = more
+    ways = np.array([each.way for each in met])
+    if np.abs(ways).max() <= rounding:
         return part
     return ConvexPart.hull_of(part.vertices + ways)
 

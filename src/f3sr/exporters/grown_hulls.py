@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
-from f3sr.core.flats import facets
+from f3sr.core.flats import ShortestWay, facets
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
 
@@ -60,15 +60,17 @@ def _move(normals: Array, wanted: Array, flats: NDArray[np.intp]) -> Array:
     """The way (3,) of a corner of facets with ``normals`` (k, 3), which move ``wanted`` (k,) along them.
 
     ``flats`` move exactly so far, if they can, the first ones before others."""
-    kept, near = np.zeros(len(normals), np.bool_), np.zeros(3)
+    kept, met, near = np.zeros(len(normals), np.bool_), ShortestWay.none(), np.zeros(3)
     for flat in flats:
+        if (more := met.onto(normals[flat], wanted[flat], ROUNDING)) is None:
+            continue
         kept[flat] = True
-        way = _shortest(normals, np.where(kept, wanted, 0), kept)
-        if way is None or np.linalg.norm(way) > SHARPEST:
+        way = _shortest(normals, np.where(kept, wanted, 0), kept, more)
+        if way is None or way @ way > SHARPEST**2:
             kept[flat] = False
         else:
-            near = way
-    far = _shortest(normals, wanted, kept)
+            met, near = more, way
+    far = _shortest(normals, wanted, kept, met)
     return near if far is None else _reaching(near, far)  # the corner of a sheet lies on both of its sides
 
 
@@ -79,23 +81,20 @@ def _reaching(near: Array, far: Array) -> Array:
     return far if far @ far <= SHARPEST**2 else near + way * (np.sqrt(b * b - a * c) - b) / a
 
 
-def _shortest(normals: Array, wanted: Array, kept: NDArray[np.bool_]) -> Array | None:
+def _shortest(normals: Array, wanted: Array, kept: NDArray[np.bool_], met: ShortestWay) -> Array | None:
     """The shortest d (3,) with ``normals @ d >= wanted``, and equal to it for those ``kept``. None where there is none.
 
-    Least distance programming with equalities (Lawson and Hanson, chapters 20 and 23)."""
-    equal, others = normals[kept], normals[~kept]
-    onto = np.linalg.pinv(equal, rcond=ROUNDING)
-    fixed = onto @ wanted[kept]
-    lacking = wanted[~kept] - others @ fixed
-    if np.abs(equal @ fixed - wanted[kept]).max(initial=0) > ROUNDING:
-        return None
+    ``met`` is the shortest with the equalities alone. Least distance programming (Lawson and Hanson, chapter 23)."""
+    lacking = np.where(kept, 0, wanted - normals @ met.way)
     if lacking.max(initial=0) <= ROUNDING:
-        return fixed
-    free = np.eye(3) - onto @ equal
-    E = np.vstack([(others @ free).T, lacking])
+        return met.way
+    if len(met.basis) == 3:
+        return None
+    free = np.eye(3) - met.basis.T @ met.basis
+    E = np.vstack([free @ normals[~kept].T, lacking[~kept]])
     f = np.array([0.0, 0, 0, 1])
     multipliers, residual = nnls(E, f)
     if residual < ROUNDING:
         return None
     r = E @ multipliers - f
-    return fixed - free @ r[:3] / r[3]
+    return met.way - free @ r[:3] / r[3]

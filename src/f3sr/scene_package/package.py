@@ -33,6 +33,7 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig
 from f3sr.physics.mujoco_scene import MujocoScene
 from f3sr.report import Report
 from f3sr.runtime.atomic_folder import claimed, recover
+from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.scene_package.package_folder import (
     BACKGROUND,
@@ -262,24 +263,20 @@ def package_files(
     page: Callable[[], bytes] | None = None,
     physics: PhysicsConfig = DEFAULT_PHYSICS,
 ) -> Iterator[tuple[str, bytes]]:
-    """Every file of the package with its relative path, one at a time: together they may be larger than the scene."""
-    yield PHOTO, encode_png(scene.photo.rgb)
-    if inpainting is not None:
-        yield BACKGROUND, encode_png(inpainting.rgb)
-        yield SUPPORT, encode_png(255 * inpainting.support.astype(np.uint8))
-        yield KEPT, npz.dump(depth=inpainting.kept)
+    """Every file of the package with its relative path. Pictures are compressed beside the others; of those one is made
+    at a time: together they may be larger than the scene."""
+    for name in pictures or {}:
+        if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
+            raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
     encode_pngs(o.mesh for o in scene.objects)
+    images = begun(lambda: [*_image_files(scene, inpainting, pictures or {})])
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
-        yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
     exported = ExportedScene.of(scene, physics)
     for exporter in WRITTEN:
         yield from exporter.files(exported)
-    for name, picture in (pictures or {}).items():
-        if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
-            raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
-        yield f"pictures/{name}.png", encode_png(picture)
+    yield from images.result()
     yield REPORT, dump_json(report or _report((), {}, {}))
     if page is not None:
         yield PAGE, page()
@@ -287,6 +284,21 @@ def package_files(
     provenance = {"f3sr": f3sr.__version__, **provenance}
     document = to_document(scene, direct=direct, uncertainty=uncertainty or {}, metrics=metrics, provenance=provenance)
     yield "scene.json", to_json(document)
+
+
+def _image_files(
+    scene: Scene, inpainting: Inpainting | None, pictures: Mapping[str, NDArray[np.uint8]]
+) -> Iterator[tuple[str, bytes]]:
+    """Files of pixels, compressed: together much smaller than the pictures, which are there already."""
+    yield PHOTO, encode_png(scene.photo.rgb)
+    if inpainting is not None:
+        yield BACKGROUND, encode_png(inpainting.rgb)
+        yield SUPPORT, encode_png(255 * inpainting.support.astype(np.uint8))
+        yield KEPT, npz.dump(depth=inpainting.kept)
+    for o in scene.objects:
+        yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
+    for name, picture in pictures.items():
+        yield f"pictures/{name}.png", encode_png(picture)
 
 
 @cache

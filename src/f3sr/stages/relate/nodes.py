@@ -57,11 +57,11 @@ def described(o: SceneObject, known: Known, median: float) -> str:
     surfaces = known.surfaces[o.id]
     ratio = surfaces.size / median
     size = "small " if ratio < SMALL else "large " if ratio > LARGE else ""
-    photo = known.scene.photo.rgb
+    shown = known.scene.photo.rgb.reshape(-1, 3)[np.flatnonzero(o.mask)]
     sides = surfaces.sides
     unit, name = (1.0, "m") if max(sides) >= 1 else (100.0, "cm")
     lengths = " x ".join(f"{unit * s:.2g}" for s in sides)
-    words = f"{size}{colours(photo[o.mask])} {shape(surfaces, known)}"
+    words = f"{size}{colours(shown)} {shape(surfaces, known)}"
     return f"{words}, {place(o.mask)} of the photo, about {lengths} {name}"
 
 
@@ -98,7 +98,7 @@ def shape(s: Surfaces, known: Known) -> str:
 
 def place(mask: NDArray[np.bool_]) -> str:
     """Where a mask's middle lies, by thirds of the photo."""
-    rows, columns = np.nonzero(mask)
+    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
     if not len(rows):
         return "nowhere"
     row, column = (int(3 * (x.mean() + 0.5) / n) for x, n in zip((rows, columns), mask.shape, strict=True))

@@ -118,11 +118,19 @@ class Surfaces:
         """Length and width of the least upright box in plan, to a cell, and height [m]."""
         turns = np.linspace(0, np.pi / 2, 30, endpoint=False)
         axes = np.stack([np.cos(turns), np.sin(turns)])
-        xy = self.underside[:, :2]
+        xy = self._outline
         across = np.ptp(xy @ axes, axis=0), np.ptp(xy @ np.stack([-axes[1], axes[0]]), axis=0)
         best = int(np.argmin(across[0] * across[1]))
         width, length = sorted((float(across[0][best]), float(across[1][best])))
         return length + self.grid.cell, width + self.grid.cell, self.height
+
+    @property
+    def _outline(self) -> Array:
+        """Middles (n, 2) of the first and the last covered cell of every row: all others lie between two of them."""
+        covered = self.footprint[self.footprint.any(1)]
+        count = covered.sum(1)
+        last = np.cumsum(count) - 1
+        return self.underside[np.concatenate([last - count + 1, last]), :2]
 
     @cached_property
     def middle(self) -> Array:
