@@ -177,17 +177,23 @@ PART = ("01_tomato_tin", "06_dotted_mug", "09_lemon")
 
 def part_of_example(folder: Path, part: Collection[str] = PART) -> Path:
     """The bundled folder with the masks and assets of some objects alone, and pictures of half its size."""
-    shutil.copytree(example.folder(), folder)
-    for mask in (folder / "masks").iterdir():
-        if mask.stem not in part:
-            mask.unlink()
+    part_of(example.folder(), folder, part)
     for file in (folder / "image.jpg", folder / "ground.png", *(folder / "masks").iterdir()):
         picture = Image.open(file)
         sampling = Image.Resampling.BOX if file.suffix == ".jpg" else Image.Resampling.NEAREST
         picture.resize((picture.width // 2, picture.height // 2), sampling).save(file, quality=95)
-    poses = json.loads((folder / "assets/poses.json").read_text())
+    return folder
+
+
+def part_of(given: Path, folder: Path, part: Collection[str]) -> Path:
+    """A copy of a folder with posed meshes that has some of its objects, named by their masks."""
+    poses = json.loads((given / "assets/poses.json").read_text())
     poses["objects"] = [o for o in poses["objects"] if Path(o["mask"]).stem in part]
+    kept = {"poses.json", *(o[key] for o in poses["objects"] for key in ("mask", "mesh"))}
+    for file in given.rglob("*"):
+        if file.is_file() and (file.parent == given or file.name in kept):
+            copy = folder / file.relative_to(given)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
     (folder / "assets/poses.json").write_text(json.dumps(poses))
-    for mesh in {p.name for p in (folder / "assets").glob("*.glb")} - {o["mesh"] for o in poses["objects"]}:
-        (folder / "assets" / mesh).unlink()
     return folder
