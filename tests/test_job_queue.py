@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,14 +31,13 @@ from stub_studio_work import FILES
 from waiting import is_running, soon
 
 WORKER = "stub_studio_work"
-forking = SimpleNamespace(Popen=forked.Popen, DEVNULL=subprocess.DEVNULL)
 
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A workspace's folder with one project, closed. Processes of jobs that a test's own queue starts are forked, and
     it looks at them more often than for a user."""
-    monkeypatch.setattr(job_queue, "subprocess", forking)
+    monkeypatch.setattr(job_queue, "subprocess", forked.FOR_SUBPROCESS)
     monkeypatch.setattr(job_queue, "POLL_S", 0.01)
     workspace = Workspace(tmp_path / "workspace")
     workspace.create_photo("a.png", encode_png(np.zeros((16, 16, 3), np.uint8)))
