@@ -132,8 +132,7 @@ def tin(foot: Array, size: Sequence[float], yaw: float, rounding: float) -> Soli
     return Solid(vertices=hull.vertices, faces=hull.faces)
 
 
-@pytest.mark.parametrize("rounding", [0.55, 0.75])
-@pytest.mark.parametrize("yaw", [0.3, 0.8])
+@pytest.mark.parametrize(("rounding", "yaw"), [(0.55, 0.8), (0.75, 0.3)])
 def test_a_tin_has_rounded_edges(rounding: float, yaw: float):
     true = tin(FOOT, (0.1, 0.06, 0.085), yaw, rounding)
     choice = chosen_for(true, "potted meat can")
