@@ -6,7 +6,9 @@ import json
 import shutil
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
@@ -74,8 +76,26 @@ def write_folder(
     objects: list[SceneObject] | None = None,
     eye: Camera | None = None,
 ) -> Truth:
-    """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
-    eye, truth = eye or camera(), objects or boxes()
+    """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw).
+
+    The usual boxes, which hundreds of tests ask for, are drawn once."""
+    if objects is not None or eye is not None:
+        return _written(folder, perturb, seed, objects or boxes(), eye or camera())
+    for name, data in _usual(perturb, seed).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return Truth(camera(), boxes())
+
+
+@cache
+def _usual(perturb: float, seed: int) -> dict[str, bytes]:
+    """Files of the folder of ``boxes()`` by their paths in it."""
+    with TemporaryDirectory() as place:
+        _written(Path(place), perturb, seed, boxes(), camera())
+        return {str(f.relative_to(place)): f.read_bytes() for f in sorted(Path(place).rglob("*")) if f.is_file()}
+
+
+def _written(folder: Path, perturb: float, seed: int, truth: list[SceneObject], eye: Camera) -> Truth:
     fragments = rasterizer.render(truth, eye)
     (folder / "masks").mkdir(parents=True)
     (folder / "assets").mkdir()
