@@ -439,11 +439,12 @@ def expected(fault: Fault, wire: Wire) -> Fault:
 
 
 def inflicted() -> Iterator[Any]:
-    """Every fault at every service; those that last until a limit at every other one, as all wait by the same code."""
-    slow = [fault for fault in FAULTS if fault.limits]
+    """Faults in what a service says at every service. Those of HTTP, which one client hears for all, at every other
+    service that has jobs, and at the one that has none; of those, what lasts until a limit at half of all."""
     for k, name in enumerate(WIRES):
-        for fault in FAULTS:
-            if fault not in slow or (k + slow.index(fault)) % 2 == 0:
+        for number, fault in enumerate(FAULTS):
+            shared = fault.answer is not None and (name != DIRECT or bool(fault.limits))
+            if not shared or (k + number) % 2 == 0:
                 yield pytest.param(name, fault, id=f"{name}-{fault.name}")
 
 
