@@ -6,7 +6,9 @@ import json
 import shutil
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
@@ -74,8 +76,26 @@ def write_folder(
     objects: list[SceneObject] | None = None,
     eye: Camera | None = None,
 ) -> Truth:
-    """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
-    eye, truth = eye or camera(), objects or boxes()
+    """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw).
+
+    The usual boxes, which hundreds of tests ask for, are drawn once."""
+    if objects is not None or eye is not None:
+        return _written(folder, perturb, seed, objects or boxes(), eye or camera())
+    for name, data in _usual(perturb, seed).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return Truth(camera(), boxes())
+
+
+@cache
+def _usual(perturb: float, seed: int) -> dict[str, bytes]:
+    """Files of the folder of ``boxes()`` by their paths in it."""
+    with TemporaryDirectory() as place:
+        _written(Path(place), perturb, seed, boxes(), camera())
+        return {str(f.relative_to(place)): f.read_bytes() for f in sorted(Path(place).rglob("*")) if f.is_file()}
+
+
+def _written(folder: Path, perturb: float, seed: int, truth: list[SceneObject], eye: Camera) -> Truth:
     fragments = rasterizer.render(truth, eye)
     (folder / "masks").mkdir(parents=True)
     (folder / "assets").mkdir()
@@ -177,17 +197,23 @@ PART = ("01_tomato_tin", "06_dotted_mug", "09_lemon")
 
 def part_of_example(folder: Path, part: Collection[str] = PART) -> Path:
     """The bundled folder with the masks and assets of some objects alone, and pictures of half its size."""
-    shutil.copytree(example.folder(), folder)
-    for mask in (folder / "masks").iterdir():
-        if mask.stem not in part:
-            mask.unlink()
+    part_of(example.folder(), folder, part)
     for file in (folder / "image.jpg", folder / "ground.png", *(folder / "masks").iterdir()):
         picture = Image.open(file)
         sampling = Image.Resampling.BOX if file.suffix == ".jpg" else Image.Resampling.NEAREST
         picture.resize((picture.width // 2, picture.height // 2), sampling).save(file, quality=95)
-    poses = json.loads((folder / "assets/poses.json").read_text())
+    return folder
+
+
+def part_of(given: Path, folder: Path, part: Collection[str]) -> Path:
+    """A copy of a folder with posed meshes that has some of its objects, named by their masks."""
+    poses = json.loads((given / "assets/poses.json").read_text())
     poses["objects"] = [o for o in poses["objects"] if Path(o["mask"]).stem in part]
+    kept = {"poses.json", *(o[key] for o in poses["objects"] for key in ("mask", "mesh"))}
+    for file in given.rglob("*"):
+        if file.is_file() and (file.parent == given or file.name in kept):
+            copy = folder / file.relative_to(given)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
     (folder / "assets/poses.json").write_text(json.dumps(poses))
-    for mesh in {p.name for p in (folder / "assets").glob("*.glb")} - {o["mesh"] for o in poses["objects"]}:
-        (folder / "assets" / mesh).unlink()
     return folder

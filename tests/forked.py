@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from f3sr.runtime import result_store
@@ -86,6 +87,8 @@ class _Forked(subprocess.Popen[Any]):
 
 
 Popen = _Forked if sys.platform == "linux" else subprocess.Popen
+FOR_SUBPROCESS = SimpleNamespace(Popen=Popen, DEVNULL=subprocess.DEVNULL)
+"""What a module may have in the place of ``subprocess``."""
 
 
 def run(command: Sequence[str], *, check: bool = False, **more: Any) -> subprocess.CompletedProcess[str]:

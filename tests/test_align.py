@@ -157,10 +157,16 @@ def test_a_tilted_box_is_stood_on_its_facet() -> None:
     assert found.T_world_object[2, 2] == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize(("axis", "degrees"), [("z", 90), ("z", 180), ("x", 180), ("y", 180)], ids=lambda v: str(v))
-@pytest.mark.parametrize("has_detail", [True, False], ids=["painted", "plain"])
+@pytest.mark.parametrize(
+    ("has_detail", "axis", "degrees"),
+    [
+        *((True, "z", 90), (True, "z", 180), (True, "x", 180), (True, "y", 180)),
+        *((False, "z", 90), (False, "x", 180)),
+    ],
+    ids=lambda v: {True: "painted", False: "plain"}[v] if isinstance(v, bool) else str(v),
+)
 def test_an_object_that_came_the_wrong_way_round_is_found_in_every_orientation(
-    axis: str, degrees: float, has_detail: bool
+    has_detail: bool, axis: str, degrees: float
 ) -> None:
     mesh = HAMMER if has_detail else replace(HAMMER, vertex_colors=None)
     scene = photographed(thing(0, mesh, (0, 0.05, 0.025)))

@@ -26,7 +26,7 @@ from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene_package.package import prepare_output, read_package, write_package
 from folders import write_folder
 from goal_scene import goal_package
-from scenes import box_stack_scene
+from scenes import box, box_stack_scene, scene_of
 
 GOAL = "push the can 5 cm to the left"
 OLD, NEW = ({name: text + name.encode() for name in FILMS} for text in (b"old ", b"new "))
@@ -118,7 +118,7 @@ def killed_before(number: int, work: Callable[[], object], calls: tuple[str, ...
 def write(kind: str, place: Path, played: Played, *, new: bool) -> None:
     """An old or a new package, rollout or film; the film beside a rollout that is there already."""
     if kind == "package":
-        write_package(box_stack_scene(2 if new else 1), place, overwrite=True)
+        write_package(scene_of(box(0, size=(0.2 if new else 0.1, 0.1, 0.1))), place, overwrite=True)
     elif kind == "film":
         write_film(NEW if new else OLD, place)
     else:

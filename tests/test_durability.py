@@ -36,7 +36,7 @@ from waiting import children, grandchildren, is_running, soon
 IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
 TO_WORKERS = ("--skip", "level,align,relate")
-QUICK = ("--skip", "align,refine,evaluate")
+QUICK = ("--skip", "align,refine,uncertainty,evaluate,inpaint")
 
 
 @pytest.fixture

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from f3sr.edits import (
     EditSession,
     deliver_edited,
     edit_of,
+    edit_session,
     edited_document,
     edited_files,
     edits_json,
@@ -37,9 +39,31 @@ NEAR = 1e-3
 """[m] by which physics moves what rests where it is put."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def measured_once() -> Iterator[None]:
+    """Every session begins by measuring its scene: sessions of one package share that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(edit_session, "_measured_base", cache(edit_session._measured_base))
+        yield
+
+
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
     return resting_boxes(tmp_path_factory.mktemp("packages") / "table")
+
+
+@pytest.fixture
+def relabelled(package: Package, tmp_path: Path) -> Path:
+    """An edited package that a test may break."""
+    folder = tmp_path / "edited"
+    shutil.copytree(_relabelled(package), folder)
+    return folder
+
+
+@cache
+def _relabelled(package: Package) -> Path:
+    session = session_after(package, {"kind": "label", "id": 2, "to": "a"})
+    return write_edited(session, package.folder.with_name("relabelled"))
 
 
 @pytest.fixture(scope="module")
@@ -332,8 +356,11 @@ SEVERAL: tuple[dict[str, Any], ...] = (
     {"kind": "move", "id": 2, "by": (0.02, 0.0, 0.1)},
     {"kind": "scale", "id": 0, "factor": 1.2},
     {"kind": "delete", "id": 3},
-    {"kind": "turn", "id": 2, "axis": (0.0, 0.0, 1.0), "degrees": 30.0},
 )
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
 def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
@@ -343,11 +370,11 @@ def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
         session.add(edit(scene=session.scene, **given))
     last = dict(edited_files(session))
     folder = write_edited(session, tmp_path / "edited")
+    assert written(folder) == last
     assert (folder / "edits.json").read_bytes() == edits_json(session.edits)
     again = EditSession.open(folder)
-    assert dict(edited_files(again)) == last
     write_edited(again, folder)
-    assert {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()} == last
+    assert written(folder) == last
     for state in reversed(states):
         session.undo()
         assert dict(edited_files(session)) == state
@@ -379,11 +406,10 @@ def test_provenance_names_the_edits_and_what_they_are_of(package: Package):
     assert document.metrics["mIoU_visible"] == session.outcome.measures.mIoU_visible
 
 
-def test_an_edited_package_is_not_lost_to_a_new_run(package: Package, tmp_path: Path):
-    folder = write_edited(session_after(package, {"kind": "label", "id": 2, "to": "a"}), tmp_path / "edited")
+def test_an_edited_package_is_not_lost_to_a_new_run(package: Package, relabelled: Path):
     with pytest.raises(OutputError, match=r"holds edits; --edits .*edits.json applies them again"):
-        write_package(package.scene, folder)
-    write_package(package.scene, folder, overwrite=True)
+        write_package(package.scene, relabelled)
+    write_package(package.scene, relabelled, overwrite=True)
 
 
 def test_a_fresh_run_has_the_edits_of_its_package(whole: Reconstruction, tmp_path: Path):
@@ -521,25 +547,23 @@ def test_a_run_with_edits_keeps_them_and_one_without_is_refused(
     assert read_package(out).scene[o.id].label == "thing"
 
 
-def test_an_edited_package_without_its_past_is_refused(package: Package, tmp_path: Path):
-    folder = write_edited(session_after(package, {"kind": "label", "id": 2, "to": "a"}), tmp_path / "edited")
-    (folder / "unedited" / "scene.json").unlink()
+def test_an_edited_package_without_its_past_is_refused(relabelled: Path):
+    (relabelled / "unedited" / "scene.json").unlink()
     with pytest.raises(InputError, match="unedited"):
-        EditSession.open(folder)
+        EditSession.open(relabelled)
 
 
 @pytest.mark.parametrize("name", ["report.html", "unedited", "edits.json", "unedited/report.json"])
-def test_no_link_leads_out_of_an_edited_package(package: Package, tmp_path: Path, name: str):
+def test_no_link_leads_out_of_an_edited_package(relabelled: Path, tmp_path: Path, name: str):
     """Its files are copied to where it is written: a stranger's package must not fetch others of the user's."""
-    folder = write_edited(session_after(package, {"kind": "label", "id": 2, "to": "a"}), tmp_path / "edited")
     if name == "report.html":
-        shutil.rmtree(folder / "unedited")
-        (folder / "edits.json").unlink()
+        shutil.rmtree(relabelled / "unedited")
+        (relabelled / "edits.json").unlink()
     elsewhere = tmp_path / "elsewhere"
-    (folder / name).rename(elsewhere)
-    (folder / name).symlink_to(elsewhere)
+    (relabelled / name).rename(elsewhere)
+    (relabelled / name).symlink_to(elsewhere)
     with pytest.raises(InputError, match=r"leaves the package|outside"):
-        EditSession.open(folder)
+        EditSession.open(relabelled)
 
 
 @pytest.mark.parametrize("text", ["[]", '{"stages": 1}', '{"a": 1e999}', "{"])

@@ -197,13 +197,15 @@ def test_a_wrong_convention_that_poses_json_declares_is_kept_and_warned_of(tmp_p
 
 
 def test_meshes_in_their_own_frame_stand_where_the_masks_put_them(tmp_path: Path):
+    """One of two: each is searched for alone, and the test below reads both."""
     written(tmp_path / "in", SAM3D)
     (tmp_path / "in/assets/poses.json").unlink()
+    (tmp_path / "in/masks/01_chair.png").unlink()
+    (tmp_path / "in/assets/01.glb").unlink()
     given = read_inputs(tmp_path / "in")
-    for o in chairs():
-        asset = given.assets[o.id]
-        found = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
-        assert np.linalg.norm(found - camera().to_camera(o.vertices_world), axis=1).max() < 0.03
+    (asset,), o = given.assets.values(), chairs()[0]
+    found = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
+    assert np.linalg.norm(found - camera().to_camera(o.vertices_world), axis=1).max() < 0.03
     assert any("meshes without a pose" in d.choice and d.fallback for d in given.decisions)
 
 

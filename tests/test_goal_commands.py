@@ -19,6 +19,7 @@ import pytest
 import forked
 from f3sr.cli import main
 from f3sr.goals.plan import Velocity
+from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.telling import launch_told
 from f3sr.scene_package.package import Package
 from goal_scene import goal_package
@@ -34,6 +35,14 @@ def run(arguments: list[str]) -> int:
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
     return goal_package(tmp_path_factory.mktemp("goals") / "package")
+
+
+@pytest.fixture(scope="module")
+def toppled(package: Package) -> str:
+    """The plan.json of a goal that is met."""
+    found = simulate_goal(package, TOPPLE)
+    assert isinstance(found, Played)
+    return found.plan.model_dump_json()
 
 
 def test_a_goal_is_told_written_and_replayed(
@@ -159,12 +168,12 @@ def test_a_refusal_is_said_once_and_a_replay_counts_one(
 
 
 def test_a_plan_of_another_package_is_bad_input(
-    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    package: Package, toppled: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
+    (tmp_path / "plan.json").write_text(toppled)
     other = shutil.copytree(package.folder, tmp_path / "other")
     (other / "scene.json").write_text((other / "scene.json").read_text() + " ")
-    assert run(["simulate", str(other), "--plan", str(tmp_path / "out/plan.json"), "-o", str(tmp_path / "two")]) == 2
+    assert run(["simulate", str(other), "--plan", str(tmp_path / "plan.json"), "-o", str(tmp_path / "two")]) == 2
     assert "another scene" in capsys.readouterr().err and not (tmp_path / "two").exists()
 
 
@@ -202,10 +211,9 @@ def aimed(x: float) -> Callable[[dict[str, Any]], None]:
     ],
 )
 def test_a_plan_beyond_all_bounds_is_one_line(
-    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], change, found: str
+    package: Package, toppled: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], change, found: str
 ) -> None:
-    assert run(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
-    plan = json.loads((tmp_path / "out/plan.json").read_text())
+    plan = json.loads(toppled)
     change(plan)
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     capsys.readouterr()

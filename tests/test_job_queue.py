@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ import pytest
 import forked
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
+from f3sr.runtime import file_lock
 from f3sr.studio import job_queue, job_record
 from f3sr.studio.job_queue import JobQueue, QueueConfig
 from f3sr.studio.job_record import ENDS, EVENTS, LOCK, MAX_STARTS, RECORD, SPARE, JobFolder, jobs_in
@@ -31,13 +31,14 @@ from stub_studio_work import FILES
 from waiting import is_running, soon
 
 WORKER = "stub_studio_work"
-forking = SimpleNamespace(Popen=forked.Popen, DEVNULL=subprocess.DEVNULL)
 
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A workspace's folder with one project, closed. Processes of jobs that a test's own queue starts are forked."""
-    monkeypatch.setattr(job_queue, "subprocess", forking)
+    """A workspace's folder with one project, closed. Processes of jobs that a test's own queue starts are forked, and
+    it looks at them more often than for a user."""
+    monkeypatch.setattr(job_queue, "subprocess", forked.FOR_SUBPROCESS)
+    monkeypatch.setattr(job_queue, "POLL_S", 0.01)
     workspace = Workspace(tmp_path / "workspace")
     workspace.create_photo("a.png", encode_png(np.zeros((16, 16, 3), np.uint8)))
     workspace.close()
@@ -193,14 +194,21 @@ POINTS: dict[str, Callable[[JobFolder], bool]] = {
     "begun": lambda job: job.record.state == "running",
     "locked": lambda job: job.pid is not None,
     "up": lambda job: bool(job.pid),
-    **{f"event {n}": lambda job, n=n: len(job.events()) >= n for n in range(1, 6)},
+    **{f"event {n}": lambda job, n=n: len(job.events()) >= n for n in (1, 3, 5)},
     "ended": lambda job: job.end is not None,
 }
 
 
 @pytest.mark.parametrize("point", POINTS)
 def test_a_job_is_done_once_wherever_its_server_is_killed(place: Path, point: str):
-    command = [sys.executable, "-m", "stub_studio_server", str(place), "step 0.1; step 0.1; write whole 0.1", "step 0"]
+    command = [
+        sys.executable,
+        "-m",
+        "stub_studio_server",
+        str(place),
+        "step 0.05; step 0.05; write whole 0.03",
+        "step 0",
+    ]
     with forked.Popen(command, stdout=subprocess.PIPE, process_group=0) as server:
         assert server.stdout and server.stdout.readline()
         (folder,) = (place / "projects").iterdir()
@@ -236,7 +244,8 @@ def test_a_job_that_died_with_its_server_begins_again_and_not_for_ever(place: Pa
         assert {p.name for p in project.folder.iterdir()} <= {"project.json", "photo.png", "package", "jobs"}
 
 
-def test_a_cancelled_job_is_not_begun_again_by_the_next_server(place: Path):
+def test_a_cancelled_job_is_not_begun_again_by_the_next_server(place: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(job_queue, "GRACE_S", 0.3)
     workspace = Workspace(place)
     queue = JobQueue(workspace, worker=WORKER)
     job = asked(queue, workspace.listed()[0], "deaf; step 60")
@@ -250,8 +259,9 @@ def test_a_cancelled_job_is_not_begun_again_by_the_next_server(place: Path):
         assert ended(job)["state"] == "cancelled" and not is_running(pid) and job.record.starts == 1
 
 
-def test_who_looks_at_a_job_keeps_nobody_from_doing_it(place: Path):
+def test_who_looks_at_a_job_keeps_nobody_from_doing_it(place: Path, monkeypatch: pytest.MonkeyPatch):
     """A look takes the lock for a moment. One that is held says that another process does the job."""
+    monkeypatch.setattr(file_lock, "WAIT_S", 0.3)
     with opened(place) as (queue, project):
         job = asked(queue, project, "step 0")
         ended(job)

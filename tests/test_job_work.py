@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import forked
 from f3sr.goals.file_names import FILM
 from f3sr.scene_package.package import read_package
+from f3sr.studio import job_queue
 from f3sr.studio.job_queue import JobQueue
 from f3sr.studio.job_record import ENDS, JobFolder
 from f3sr.studio.workspace import Project, Workspace
@@ -67,7 +69,9 @@ def in_session(leader: int) -> list[int]:
 
 
 @pytest.mark.slow
-def test_a_folder_becomes_a_scene_with_pictures_on_the_way_and_a_film(started: tuple[JobQueue, Project]):
+def test_a_folder_becomes_a_scene_with_pictures_on_the_way_and_a_film(
+    started: tuple[JobQueue, Project], monkeypatch: pytest.MonkeyPatch
+):
     queue, project = started
     first = queue.submit(project, "reconstruct", {})
     assert soon(lambda: "align" in pictures(first) or first.end, seconds=120)
@@ -75,6 +79,7 @@ def test_a_folder_becomes_a_scene_with_pictures_on_the_way_and_a_film(started: t
     queue.cancel(first)
     assert soon(lambda: first.record.state in ENDS) and first.told()["state"] == "cancelled"
     assert soon(lambda: not in_session(leader), seconds=2)
+    monkeypatch.setattr(job_queue, "subprocess", forked.FOR_SUBPROCESS)  # the first job started as a user's does
     left = {"project.json", "input", "jobs"}
     assert {entry.name for entry in project.folder.iterdir()} == left
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -88,9 +89,8 @@ def bowl(foot: Array, rim: float, height: float, *, upside_down: bool = False) -
     return Solid(vertices=made.vertices * [1, 1, -1] + height * UP, faces=made.faces[:, ::-1])
 
 
-def mask_of(solid: Solid) -> np.ndarray:
-    K, w, h = CAMERA.K, CAMERA.width, CAMERA.height
-    return rasterizer.silhouette(CAMERA.to_camera(solid.vertices), solid.faces, K, w, h)
+def mask_of(solid: Solid, camera: Camera = CAMERA) -> np.ndarray:
+    return rasterizer.silhouette(camera.to_camera(solid.vertices), solid.faces, camera.K, camera.width, camera.height)
 
 
 def seen(solid: Solid) -> Outlined:
@@ -132,8 +132,7 @@ def tin(foot: Array, size: Sequence[float], yaw: float, rounding: float) -> Soli
     return Solid(vertices=hull.vertices, faces=hull.faces)
 
 
-@pytest.mark.parametrize("rounding", [0.55, 0.75])
-@pytest.mark.parametrize("yaw", [0.3, 0.8])
+@pytest.mark.parametrize(("rounding", "yaw"), [(0.55, 0.8), (0.75, 0.3)])
 def test_a_tin_has_rounded_edges(rounding: float, yaw: float):
     true = tin(FOOT, (0.1, 0.06, 0.085), yaw, rounding)
     choice = chosen_for(true, "potted meat can")
@@ -422,18 +421,19 @@ def test_a_photo_and_masks_are_enough_and_the_report_says_so(lifted):
 def test_things_each_of_which_seems_below_the_other_are_lifted(monkeypatch: pytest.MonkeyPatch):
     """In a ring none is lifted before all that is below it."""
     monkeypatch.setattr("f3sr.lifting.lifted_assets.below", lambda masks: {0: 1, 1: 0})
-    masks = [mask_of(block(FOOT + np.array([x, 0, 0]), (0.1, 0.07, 0.15), 0.3)) for x in (-0.1, 0.1)]
-    y, x = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(CAMERA.K).T
-    down = rays @ CAMERA.T_world_camera[2, :3]
+    camera = CAMERA.resized(CAMERA.width // 2, CAMERA.height // 2)
+    masks = [mask_of(block(FOOT + np.array([x, 0, 0]), (0.1, 0.07, 0.15), 0.3), camera) for x in (-0.1, 0.1)]
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(camera.K).T
+    down = rays @ camera.T_world_camera[2, :3]
     valid = (down < -0.05) & ~masks[0] & ~masks[1]
-    points = rays * np.where(valid, -CAMERA.center[2] / np.where(valid, down, -1), 1)[..., None]
+    points = rays * np.where(valid, -camera.center[2] / np.where(valid, down, -1), 1)[..., None]
     image = PromptedImage(
         photo=Photo(rgb=np.full((*valid.shape, 3), 128, np.uint8)),
         instances=tuple(Instance(id=k, label="", name=f"{k:02d}.png", mask=mask) for k, mask in enumerate(masks)),
     )
     geometry = Geometry(points=points.astype(np.float32), valid=valid, source="ground")
-    assert LiftedAssets().generate(image, geometry, CAMERA.K).keys() == {0, 1}
+    assert LiftedAssets().generate(image, geometry, camera.K).keys() == {0, 1}
 
 
 def test_alignment_neither_tilts_lifted_things_nor_moves_the_camera(lifted):
@@ -708,8 +708,10 @@ COLOURS = ((200, 60, 50), (90, 150, 70), (60, 80, 190))
 TABLE = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
 
 
-def lit_photo(shown: Sequence[SeenSolid], direct: float, sky: float) -> Photo:
+@cache
+def lit_photo(direct: float, sky: float) -> Photo:
     """Solids of one colour each on a grey table with their shadows, in the light of SUN and of an even sky."""
+    shown = on_a_table()
     strength = np.array([0.0, direct, sky, 0.15])
     light = PhotoLight.of(strength, SUN, 0.0, [], (FOOT, 1.0))
     casters = [Caster(s.solid.vertices, s.solid.faces, closed=True) for s in shown]
@@ -736,11 +738,15 @@ def on_a_table() -> list[SeenSolid]:
     return [SeenSolid.of(solid, mask_of(solid), CAMERA) for solid in solids]
 
 
+@cache
+def found_light() -> PhotoLight:
+    """Of the photo that most tests take."""
+    return light_of(on_a_table(), lit_photo(0.6, 0.5).rgb, TABLE, CAMERA)
+
+
 def test_the_light_is_taken_out_of_colours():
     """Solids of one colour each have one colour all over then, and the found light is the true one."""
-    shown = on_a_table()
-    photo = lit_photo(shown, 0.6, 0.5)
-    light = light_of(shown, photo.rgb, TABLE, CAMERA)
+    shown, photo, light = on_a_table(), lit_photo(0.6, 0.5), found_light()
     angle = math.degrees(math.acos(float(np.clip(light.direction @ SUN, -1, 1))))
     assert angle < 15
     for s in shown:
@@ -753,7 +759,7 @@ def test_the_light_is_taken_out_of_colours():
 def test_shadows_on_the_ground_tell_the_light_of_things_full_of_print():
     """Random colours all over three solids tell nothing of it."""
     shown = on_a_table()
-    rgb = lit_photo(shown, 0.6, 0.5).rgb
+    rgb = lit_photo(0.6, 0.5).rgb
     anywhere = union_of((s.mask for s in shown), TABLE.shape[:2])[..., None]
     print_ = np.random.default_rng(0).integers(20, 230, TABLE.shape).astype(np.uint8)
     for table, found in ((rgb, True), (TABLE, False)):
@@ -767,16 +773,14 @@ def test_usual_light_decides_where_it_weighs_more_than_the_photo(
 ):
     monkeypatch.setattr("f3sr.lifting.unshaded.LIGHT", replace(LIGHT, typical=weight))
     shown = on_a_table()
-    light = light_of(shown, lit_photo(shown, 0.3, 0.8).rgb, TABLE, CAMERA)
+    light = light_of(shown, lit_photo(0.3, 0.8).rgb, TABLE, CAMERA)
     off = np.abs(light.strength / light.strength.sum() - TYPICAL / TYPICAL.sum()).max()
     assert least <= off <= most
 
 
 def test_films_light_a_ball_alike_however_it_is_turned():
     """Its colours come from the photo, whose light stays where it is."""
-    shown = on_a_table()
-    photo = lit_photo(shown, 0.6, 0.5)
-    light = light_of(shown, photo.rgb, TABLE, CAMERA)
+    shown, photo, light = on_a_table(), lit_photo(0.6, 0.5), found_light()
     objects, middles = list[SceneObject](), list[Array]()
     for k, s in enumerate(shown):
         plain = Photo(rgb=light.removed(photo.rgb, s))
@@ -860,7 +864,7 @@ def test_without_shading_colours_stay_as_they_are():
 def test_light_that_neighbours_throw_on_a_ball_is_not_its_own():
     """A ball darker towards its foot, as in a dark pan: most of that goes, and print stays."""
     shown = on_a_table()
-    photo = lit_photo(shown, 0.6, 0.5)
+    photo = lit_photo(0.6, 0.5)
     shown[0] = SeenSolid.of(replace(shown[0].solid, symmetry="round"), shown[0].mask, CAMERA)
     own, z = shown[0].own, shown[0].normals[shown[0].own][:, 2]
     taken = photo.rgb.copy()
@@ -913,11 +917,11 @@ def test_a_large_thing_has_its_shadows_placed_as_a_small_one_and_soon():
 def test_print_is_no_shading():
     """A can with a dark label about its middle: light from the side does not explain that."""
     shown = on_a_table()
-    photo = lit_photo(shown, 0.6, 0.5)
+    photo = lit_photo(0.6, 0.5)
     rgb = photo.rgb.copy()
     rows = slice(shown[1].rows.start + 30, shown[1].rows.start + 60)
     rgb[rows, shown[1].columns][shown[1].mask[rows, shown[1].columns]] //= 3
-    plain, printed = (light_of(shown, image, TABLE, CAMERA) for image in (photo.rgb, rgb))
+    plain, printed = found_light(), light_of(shown, rgb, TABLE, CAMERA)
     assert math.degrees(math.acos(float(np.clip(plain.direction @ printed.direction, -1, 1)))) < 15
     assert np.abs(plain.strength - printed.strength).max() < 0.25
 

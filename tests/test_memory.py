@@ -18,10 +18,11 @@ from f3sr.scene import SceneObject
 from folders import camera, write_folder
 from scenes import box
 
-FACES, TEXTURE = 50_000, 1024
-PEAK_MB = 600
-"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 558. One more picture of
-floats at the photo's size (72 MB) breaks it."""
+FACES, TEXTURE = 20_000, 512
+EYE = camera().resized(1200, 900)
+PEAK_MB = 440
+"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 416 to 425. One more picture
+of floats at the photo's size (26 MB) breaks it."""
 RETURNED = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "4000000", "MALLOC_TRIM_THRESHOLD_": "131072"}
 """For glibc: what is freed goes back at once. Else the peak hangs on which thread frees when, by 120 MB."""
 
@@ -36,7 +37,7 @@ sys.exit(code)
 
 
 def dense_box(id: int, x: float) -> SceneObject:
-    """A box of 50,000 triangles with a noisy texture, standing on the table at ``x`` [m]."""
+    """A box of 20,000 triangles with a noisy texture, standing on the table at ``x`` [m]."""
     size = np.array([0.09, 0.07, 0.08 + 0.01 * id])
     solid = mf.Manifold.cube(size.tolist(), True).refine(int(np.sqrt(FACES / 12)) + 1).to_mesh()
     vertices = np.asarray(solid.vert_properties[:, :3], float)
@@ -56,7 +57,7 @@ def dense_box(id: int, x: float) -> SceneObject:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
 def test_peak_memory_of_a_run_of_middling_size(compiled: Path, tmp_path: Path) -> None:
     objects = [dense_box(id, x) for id, x in enumerate((-0.07, 0.07))]
-    write_folder(tmp_path / "input", perturb=0.02, objects=objects, eye=camera().resized(2000, 1500))
+    write_folder(tmp_path / "input", perturb=0.02, objects=objects, eye=EYE)
     env = {
         **os.environ,
         **RETURNED,

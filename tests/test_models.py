@@ -27,7 +27,7 @@ from f3sr.models.model_endpoint import model_endpoint
 KEY = "sk-very/secret+key"
 PATIENT = ModelConfig(timeout=60, deadline=120, wait=0.01, reply_bytes=100_000)
 """The first question of a process imports the API's library, and a busy machine answers late."""
-HURRIED = replace(PATIENT, timeout=0.6, deadline=2.0)
+HURRIED = replace(PATIENT, timeout=0.4, deadline=1.2)
 """Where the time limit is what is tested."""
 PROVIDERS = ("openai", "anthropic")
 

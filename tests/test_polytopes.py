@@ -202,7 +202,7 @@ def test_copies_shifted_by_almost_nothing():
 def test_corners_that_nearly_coincide_change_no_depth(apart: float):
     """Rounding decides the direction of an edge that short; its facets know it better."""
     doubled = 0
-    for seed in range(200):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         a, b = random_hull(rng), random_hull(rng)
         corner = b.vertices[rng.integers(len(b.vertices))]
@@ -210,7 +210,7 @@ def test_corners_that_nearly_coincide_change_no_depth(apart: float):
         doubled += len(twice.vertices) > len(b.vertices)
         depth, now = (max(0.0, polytopes.overlap_depth(a, c)) for c in (b, twice))
         assert now == pytest.approx(depth, abs=2 * apart + 1e-9)
-    assert doubled > 50
+    assert doubled > 25
 
 
 # Against independent answers

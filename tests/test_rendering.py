@@ -250,7 +250,7 @@ def test_shadows_fall_on_objects_too_and_are_sharper_near_their_cause() -> None:
     widths = []
     for height in (0.05, 0.2):
         scene = scene_of([sheet(1, 1), sheet(0.2, 1)], [pose(t=[0, 0, 0.1]), pose(t=[0.1, 0, 0.1 + height])], above)
-        drawn = lit(scene, light, RenderConfig(light=NO_LIGHT, shadows=ShadowConfig(map_size=1024)))
+        drawn = lit(scene, light, RenderConfig(light=NO_LIGHT, shadows=ShadowConfig(map_size=512)))
         row = linear(drawn.drawn(at_rest(scene))[36, :, 0] / 255)
         assert row.min() == pytest.approx(0.2, abs=0.03)  # of the even light only
         widths.append(int(((row > 0.3) & (row < 0.9)).sum()))

@@ -19,7 +19,9 @@ pytest.importorskip("fastapi", reason="the extra studio is not installed")
 
 from PIL import Image
 
+import forked
 from f3sr.mask_page.loopback_server import json_reply
+from f3sr.runtime import subprocesses
 from f3sr.scene_package.package import read_package
 from f3sr.studio import service_clients
 from resting_boxes import resting_boxes
@@ -29,8 +31,10 @@ from waiting import soon
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StudioServer]:
+    """Processes of its projects are forked, but for those of a test that starts them as a user's server does."""
     folder = tmp_path_factory.mktemp("studio")
-    with studio(folder) as served:
+    with pytest.MonkeyPatch.context() as patch, studio(folder) as served:
+        patch.setattr(service_clients, "started", forked.started)
         yield served
 
 
@@ -236,11 +240,14 @@ def test_two_pages_edit_one_scene_one_after_another(server: StudioServer, scene:
         server.post(f"{scene}scene/undo")
 
 
-def test_edits_survive_the_process_that_made_them(server: StudioServer, scene: str) -> None:
+def test_edits_survive_the_process_that_made_them(
+    server: StudioServer, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     status, told = server.post(f"{scene}scene/edits", {"edit": {"kind": "label", "id": 3, "to": "tower"}})
     assert status == 200
     project = server.workspace.project(scene.split("/")[1])
     process = server.clients._of(project.folder)._process
+    monkeypatch.setattr(service_clients, "started", subprocesses.started)
     os.kill(process.pid, signal.SIGKILL)
     assert soon(lambda: process.poll() is not None)
     again = server.state(f"{scene}scene/state")

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 import forked
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
+from f3sr.runtime import file_lock
 from f3sr.studio import workspace as workspace_module
 from f3sr.studio.workspace import ID, LOCK, LONGEST_ID, PROJECTS, RECORD, Workspace
 from waiting import soon
@@ -198,7 +199,8 @@ def test_a_name_that_somebody_wrote_there_is_shown_plain(space: Workspace):
 # --- disks, kills and two servers -------------------------------
 
 
-def test_two_servers_have_no_workspace_together(space: Workspace):
+def test_two_servers_have_no_workspace_together(space: Workspace, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(file_lock, "WAIT_S", 0.2)
     with pytest.raises(OutputError, match="another studio is open there"):
         Workspace(space.folder)
     space.close()
@@ -250,8 +252,9 @@ def test_options_are_kept_whole_or_not(space: Workspace, monkeypatch: pytest.Mon
     assert json.loads((made.folder / RECORD).read_text())["version"] == 1
 
 
-def test_what_a_killed_server_leaves_is_taken_away(tmp_path: Path):
+def test_what_a_killed_server_leaves_is_taken_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """It is killed in the middle of a copy, and of a deletion."""
+    monkeypatch.setattr(file_lock, "WAIT_S", 0.2)
     script = f"""
 import sys, time; sys.path[:0] = {sys.path!r}
 from pathlib import Path

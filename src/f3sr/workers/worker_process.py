@@ -109,7 +109,7 @@ def _watched(
     assert process.stdout and process.stderr
     began = spoke = time.monotonic()
     lines, tail, open_streams = b"", b"", [process.stdout, process.stderr]
-    while open_streams or process.poll() is None:
+    while open_streams or not _ends(process):
         for stream in _ready(open_streams):
             data = os.read(stream.fileno(), 65536)
             if not data:
@@ -136,11 +136,15 @@ def _watched(
     return ""
 
 
+def _ends(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a process that says nothing any more ends by the next look."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(POLL_S)
+    return process.returncode is not None
+
+
 def _ready(streams: Sequence[IO[bytes]], *, wait: float = POLL_S) -> Sequence[IO[bytes]]:
-    if not streams:
-        time.sleep(wait)
-        return ()
-    return select.select(streams, [], [], wait)[0]
+    return select.select(streams, [], [], wait)[0] if streams else ()
 
 
 def _progress(line: bytes) -> Progressed | None:
