@@ -143,6 +143,24 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
             assert o.bounds_world.mean(0) - eye == pytest.approx(o.scale * (there.bounds_world.mean(0) - eye))
 
 
+def test_what_fell_away_is_placed_again_with_its_group(touching: Scene):
+    start = shifted(touching, {1: 0.5})  # it touches nothing any more
+    asked: list[Collection[int]] = []
+
+    def replaced(_: Scene, ids: Collection[int], **_others: object) -> SettledScene:
+        asked.append(ids)
+        return SettledScene(scene=touching, restless=frozenset())
+
+    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+        return SettledScene(scene=scene, restless=frozenset())
+
+    after, _ = refine(
+        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
+    )
+    assert asked == [[0, 1]]
+    assert np.array_equal(after[1].T_world_object, touching[1].T_world_object)
+
+
 def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_first(touching: Scene):
     """Together one spoils what the other gains; alone, each finds its mask."""
     start = shifted(touching, {0: 0.03, 1: 0.02})

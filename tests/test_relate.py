@@ -471,6 +471,16 @@ def test_describe_drops_a_given_support_that_carries_nothing_at_rest():
     assert any("carries nothing at rest" in d.choice and d.about == 1 for d in outcome.decisions)
 
 
+def test_what_rests_outside_a_container_in_which_the_photo_shows_it_is_a_fallback():
+    scene, _ = relate(bowl_with_fruit())
+    assert scene.graph.of("inside") == {(1, 0)}
+    _, in_it = describe(scene)
+    out = scene[1].moved(at(-0.2, 0, -0.009), stage="test", reason="")
+    _, outside = describe(scene.with_objects(replace(out, supports=(Support(id=GROUND),), supported_by=GROUND)))
+    assert not any("outside" in d.choice for d in in_it.decisions)
+    assert [(d.about, d.fallback) for d in outside.decisions if "outside object 0" in d.choice] == [(1, True)]
+
+
 def test_proxies_tell_what_touches_to_a_fraction_of_a_millimetre():
     apart = [describe(relate(photographed(box(0), box(1, at=(0.1 + gap, 0, 0.05))))[0])[0] for gap in (5e-4, 1e-3)]
     assert [scene.graph.of("touching") for scene in apart] == [{(0, 1)}, set()]

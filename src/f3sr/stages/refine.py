@@ -180,9 +180,10 @@ def _placed_again(
 
 
 def _lost(state: SettledScene, aligned: Scene, contact: ContactMargin) -> frozenset[int]:
-    """Ids of the groups that contact moved off their masks."""
+    """Ids of the groups that contact moved off their masks. What fell away belongs to its group: the photo shows it
+    there."""
     was = SettledScene(scene=aligned, restless=frozenset()).ious
-    groups = groups_of(state.scene, state.scene, contact.apart)
+    groups = groups_of(aligned, state.scene, contact.apart)
     return frozenset(id for g in groups if len(g) > 1 and _gain(g, was, state.ious) < -LOST for id in g)
 
 

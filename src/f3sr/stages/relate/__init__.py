@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypedDict
 
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import GROUND, Scene, SceneObject, Support, name_of
+from f3sr.scene import GROUND, Scene, SceneGraph, SceneObject, Support, name_of
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.given import Given, canonical, held_against
 from f3sr.stages.relate.known import Known
@@ -90,7 +90,8 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rel
 
 def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Described]:
     """The scene graph of a scene at rest: the supports are those that the objects have, from contact forces, contact is
-    that of the proxies. No object changes; given relations that no longer hold are told and left out."""
+    that of the proxies. No object changes; given relations that no longer hold are told and left out. What rests
+    outside a container in which the photo shows it is a fallback."""
     known = Known.of(scene, config or RelateConfig())
     found = {o.id: candidates(o, known) for o in scene}
     given = held_against(scene.graph, found, known)
@@ -109,7 +110,24 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, D
         if (c.child, c.parent) not in carriers
     ]
     told = (*given.decisions, *decisions)
-    return replace(scene, graph=graph), Described(decisions=told, disagreements=told, **_counts(scene, given))
+    outcome = Described(decisions=(*told, *_left_containers(scene, graph)), disagreements=told, **_counts(scene, given))
+    return replace(scene, graph=graph), outcome
+
+
+def _left_containers(scene: Scene, at_rest: SceneGraph) -> Iterator[Decision]:
+    """Objects at rest outside a container in which the photo shows them, carried by it."""
+    carriers: dict[int, list[int]] = {o.id: [] for o in scene}
+    for child, parent in scene.graph.of("supported_by"):
+        carriers[child].append(parent)
+    in_photo, now = rests_on(carriers), rests_on({o.id: o.carriers for o in scene})
+    for id, container in sorted(scene.graph.of("inside") - at_rest.of("inside")):
+        if id in in_photo[container] - now[container]:
+            yield Decision(
+                choice=f"rests outside {name_of(container)}, in which the photo shows it",
+                reason="of all places that were tried, none inside agrees better with the masks and rests",
+                about=id,
+                fallback=True,
+            )
 
 
 def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known: Known) -> dict[int, Carried]:
