@@ -14,6 +14,7 @@ from f3sr.physics.soft_contacts import soft_release
 from f3sr.scene import Scene
 from f3sr.stages import settle
 from f3sr.stages.coarsen import SOFT_TRAVEL, CoarsenConfig, Coarsened, coarsen
+from f3sr.vision import rasterizer
 from scenes import box, box_mesh, box_stack_scene, scene_of
 
 MARGINS = 3.2e-4
@@ -63,6 +64,15 @@ def test_what_creeps_over_an_edge_is_delivered_where_it_fell():
     assert soft_release(after.objects, SOFT_TRAVEL) == {}
     assert [d.choice for d in told.decisions] == [f"moved by {1000 * travel(scene, after, 1):.0f} mm"]
     assert {m.stage for m in after[1].motion[len(scene[1].motion) :]} == {"coarsen"}
+
+
+def test_what_would_fall_to_another_place_than_the_photo_shows_stays_and_is_told():
+    scene = on_a_slope(0.5, middle=-0.497)
+    ids = rasterizer.render(scene.objects, scene.camera).ids
+    seen = scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
+    after, told = coarsened(seen)
+    assert travel(seen, after, 1) < 1e-3
+    assert [(d.about, d.choice, d.fallback) for d in told.decisions] == [(1, "stays", True)]
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.2, 0.4])

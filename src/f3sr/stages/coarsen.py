@@ -39,6 +39,9 @@ ROUNDS = 2
 """Most rounds of settling: what takes more moves with its new parts."""
 FINER = 0.1
 """What a part fewer is worth of an object that moved, as a share of before."""
+LOSS_TO_WITHSTAND = 0.1
+"""Largest mean loss of visible IoU of a group for a place where it rests on soft contacts too. A marker that falls into
+an organizer costs its group .04. A lemon that slides down the wall of a bowl costs .23: it would be another scene."""
 SOFT_TRAVEL = 8e-3
 """Travel on soft contacts [m] from which on an object falls or slides: what stays creeps by up to 6 mm in 20 scenes."""
 SOFT_ROUNDS = 3
@@ -109,7 +112,8 @@ def coarsen(
     finer parts, then all of the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what
     is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least, unless that
     shows another scene: then it keeps its parts, a fallback. Objects that were ``restless`` may stay so.
-    At last groups that rest on stiff contacts only take a place where they rest on soft ones too, a Decision.
+    At last groups that rest on stiff contacts only take a place where they rest on soft ones too, a Decision. Where
+    that is another scene, they stay, a fallback.
     """
     known = dict[int, KnownParts]()
     footing, clearance = config.footing, config.contact.clearance
@@ -239,13 +243,17 @@ class _Coarsening:
         if not moved:
             return
         restless |= self._falling(scene).keys()
+        was, now = visible_ious(self.scene), visible_ious(scene)
         for ids in groups_of(self.scene, scene, self._config.contact.apart):
-            if ids & moved:
-                self._told += (
-                    _on_soft_contacts(self.scene[id], scene[id], ids & restless) for id in sorted(ids & moved)
-                )
-                if not ids & restless:
-                    self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
+            if not ids & moved:
+                continue
+            loss = float(np.mean([was[id] - now[id] for id in ids]))
+            stays = bool(ids & restless) or loss > LOSS_TO_WITHSTAND
+            for id in sorted(ids & moved):
+                travel = f"{1000 * _travel(self.scene[id], scene[id]):.0f} mm"
+                self._told.append(_on_soft_contacts(id, travel, bool(ids & restless), loss, stays=stays))
+            if not stays:
+                self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
 
     def _falling(self, scene: Scene) -> dict[int, SceneObject]:
         """Objects that fall or slide on soft contacts, where they end, by id."""
@@ -289,17 +297,17 @@ def _ended(o: SceneObject, T_world_object: Array) -> SceneObject:
     return o.moved(T, stage=Coarsened.stage, reason="fell or slid on soft contacts")
 
 
-def _on_soft_contacts(before: SceneObject, after: SceneObject, restless: Collection[int]) -> Decision:
-    """What became of an object that falls or slides on soft contacts."""
-    if restless:
-        return Decision(
-            choice="stays", reason="slides on soft contacts, which others have, wherever it is", about=before.id
-        )
-    return Decision(
-        choice=f"moved by {1000 * _travel(before, after):.0f} mm",
-        reason="rested on stiff contacts only: it fell or slid on soft ones, which others have",
-        about=before.id,
-    )
+def _on_soft_contacts(id: int, travel: str, is_restless: bool, loss: float, *, stays: bool) -> Decision:
+    """What became of an object that falls or slides by ``travel`` on soft contacts; ``loss`` is its group's."""
+    if is_restless:
+        reason = "slides on soft contacts, which others have, wherever it is"
+    elif stays:
+        there = f"there its group loses {loss:.2f} of visible IoU"
+        reason = f"falls or slides by {travel} on soft contacts, which others have; {there}"
+    else:
+        reason = "rested on stiff contacts only: it fell or slid on soft ones, which others have"
+    choice = "stays" if stays else f"moved by {travel}"
+    return Decision(choice=choice, reason=reason, about=id, fallback=stays and not is_restless)
 
 
 def _travel(before: SceneObject, after: SceneObject) -> float:
