@@ -62,7 +62,7 @@ def _move(normals: Array, wanted: Array, flats: NDArray[np.intp]) -> Array:
     ``flats`` move exactly so far, if they can, the first ones before others."""
     kept, met, near = np.zeros(len(normals), np.bool_), ShortestWay.none(), np.zeros(3)
     for flat in flats:
-        if (more := met.onto(normals[flat], wanted[flat], ROUNDING)) is None:
+        if (more := met.onto(normals[flat], float(wanted[flat]), ROUNDING)) is None:
             continue
         kept[flat] = True
         way = _shortest(normals, np.where(kept, wanted, 0), kept, more)

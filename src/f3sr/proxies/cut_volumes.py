@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import bulk, distinct, outermost, spread
-
-Single = NDArray[np.float32]
+from f3sr.proxies.surface import Single
 
 LAYER = 0.003
 """A hull counts as much thicker, on all sides [size]: slices across a bowl save what is below its rim, but they are
@@ -43,7 +42,7 @@ class SimplifiedSurface:
         first, second = np.divmod(np.unique(edges[:, 0] * len(corners) + edges[:, 1]), len(corners))
         return cls(triangles=triangles, corners=corners, edges=np.stack([first, second], axis=1))
 
-    def crossings(self, height: Array, offsets: Array) -> tuple[NDArray[np.int64], Array]:
+    def crossings(self, height: Array | Single, offsets: Array) -> tuple[NDArray[np.int64], Array]:
         """Where edges cross planes at ``offsets`` above which corners have a ``height`` (n,): the planes' numbers (k,)
         and the points (k, 3)."""
         below = height < offsets[:, None]
@@ -114,10 +113,10 @@ class FirstLook:
         """Volumes (k,) of the hulls of both sides together, with their layers, for planes ``u . x = offset``."""
         if not len(offsets):
             return np.zeros(0)
-        u = u.astype(np.float32)
-        height = self.points @ u
+        across = u.astype(np.float32)
+        height = self.points @ across
         slabs = self._outermost_of_slabs(height, offsets)
-        most, met = self._outermost_at_planes(u, height, offsets)
+        most, met = self._outermost_at_planes(across, height, offsets)
         # Slab k lies below plane k, slab k + 1 above it.
         below = _farthest_so_far(*(x[:-1] for x in slabs))
         above = _farthest_so_far(*(x[:0:-1] for x in slabs))
