@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import bulk, distinct, outermost, spread
-from f3sr.proxies.surface import Single
 
 LAYER = 0.003
 """A hull counts as much thicker, on all sides [size]: slices across a bowl save what is below its rim, but they are
@@ -42,7 +41,7 @@ class SimplifiedSurface:
         first, second = np.divmod(np.unique(edges[:, 0] * len(corners) + edges[:, 1]), len(corners))
         return cls(triangles=triangles, corners=corners, edges=np.stack([first, second], axis=1))
 
-    def crossings(self, height: Array | Single, offsets: Array) -> tuple[NDArray[np.int64], Array]:
+    def crossings(self, height: Array, offsets: Array) -> tuple[NDArray[np.int64], Array]:
         """Where edges cross planes at ``offsets`` above which corners have a ``height`` (n,): the planes' numbers (k,)
         and the points (k, 3)."""
         below = height < offsets[:, None]
@@ -78,15 +77,14 @@ def bulk_of_sides(
 class FirstLook:
     """A piece's outline and core, whose points next to a plane, up to ``reach``, are moved onto it.
 
-    ``heights`` (m, n) are those of all points along the directions (m, 3). Both, and all that follows from them, are in
-    single precision: a ten millionth of the size."""
+    ``heights`` (m, n) are those of all points along the directions (m, 3)."""
 
     outline: SimplifiedSurface
     core: Array
     reach: float
-    points: Single
-    directions: Single
-    heights: Single
+    points: Array
+    directions: Array
+    heights: Array
 
     @classmethod
     def at(cls, outline: SimplifiedSurface, core: Array, reach: float) -> FirstLook:
@@ -94,14 +92,13 @@ class FirstLook:
         # As if the points had the same spread all around: in even directions, a needle's outermost points are its ends.
         squares, axes = np.linalg.eigh(np.cov(points.T, ddof=min(1, len(points) - 1)))
         directions = _sphere()[0] @ (axes / np.sqrt(np.maximum(squares, FLATTEST**2))) @ axes.T
-        directions, singly = directions.astype(np.float32), points.astype(np.float32)
         return cls(
             outline=outline,
             core=core,
             reach=reach,
-            points=singly,
+            points=points,
             directions=directions,
-            heights=directions @ singly.T,
+            heights=directions @ points.T,
         )
 
     @property
@@ -113,10 +110,9 @@ class FirstLook:
         """Volumes (k,) of the hulls of both sides together, with their layers, for planes ``u . x = offset``."""
         if not len(offsets):
             return np.zeros(0)
-        across = u.astype(np.float32)
-        height = self.points @ across
+        height = self.points @ u
         slabs = self._outermost_of_slabs(height, offsets)
-        most, met = self._outermost_at_planes(across, height, offsets)
+        most, met = self._outermost_at_planes(u, height, offsets)
         # Slab k lies below plane k, slab k + 1 above it.
         below = _farthest_so_far(*(x[:-1] for x in slabs))
         above = _farthest_so_far(*(x[:0:-1] for x in slabs))
@@ -125,13 +121,13 @@ class FirstLook:
             total += self._bulks(np.where((most >= far)[..., None], met, points))
         return total
 
-    def _outermost_of_slabs(self, height: Single, offsets: Array) -> tuple[Single, Single]:
+    def _outermost_of_slabs(self, height: Array, offsets: Array) -> tuple[Array, Array]:
         """Heights (k + 1, m) and places (k + 1, m, 3) of the outermost points between two planes."""
         order = np.argsort(height)
         ends = [0, *np.searchsorted(height[order], offsets, side="right"), len(order)]
         heights = self.heights[:, order]
         rows = np.arange(len(heights))
-        far = np.full((len(ends) - 1, len(rows)), -np.inf, np.float32)
+        far = np.full((len(ends) - 1, len(rows)), -np.inf)
         which = np.zeros(far.shape, np.int64)
         for k, (start, end) in enumerate(pairwise(ends)):
             if start < end:
@@ -139,7 +135,7 @@ class FirstLook:
                 far[k] = heights[rows, which[k]]
         return far, self.points[order[which]]
 
-    def _outermost_at_planes(self, u: Single, height: Single, offsets: Array) -> tuple[Single, Single]:
+    def _outermost_at_planes(self, u: Array, height: Array, offsets: Array) -> tuple[Array, Array]:
         """Heights (k, m) and places (k, m, 3) of the outermost points in every plane: crossed edges and moved core."""
         plane, crossed = self.outline.crossings(height[: len(self.outline.corners)], offsets)
         off = height[len(self.outline.corners) :] - offsets[:, None]
@@ -149,14 +145,14 @@ class FirstLook:
         order = np.argsort(planes, kind="stable")
         counts = np.bincount(planes, minlength=len(offsets))
         place = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-        table = np.zeros((len(offsets), max(1, counts.max()), 3), np.float32)
+        table = np.zeros((len(offsets), max(1, counts.max()), 3))
         table[planes[order], place] = points[order]
         heights = self.directions @ table.transpose(0, 2, 1)
-        heights += np.where(np.arange(table.shape[1]) < counts[:, None], np.float32(0), np.float32(-np.inf))[:, None]
+        heights += np.where(np.arange(table.shape[1]) < counts[:, None], 0, -np.inf)[:, None]
         best = heights.argmax(2)[..., None]
         return np.take_along_axis(heights, best, 2)[..., 0], np.take_along_axis(table, best, 1)
 
-    def _bulks(self, outer: Single) -> Array:
+    def _bulks(self, outer: Array) -> Array:
         """Of surfaces (k,) over the sphere with corners (k, m, 3)."""
         triangles = _sphere()[1]
         a, b, c = (np.moveaxis(outer, 2, 0)[:, :, triangles[:, k]] for k in range(3))
@@ -169,7 +165,7 @@ class FirstLook:
         return volume + LAYER * area
 
 
-def _farthest_so_far(far: Single, points: Single) -> tuple[Single, Single]:
+def _farthest_so_far(far: Array, points: Array) -> tuple[Array, Array]:
     """The farthest of the first k + 1 slabs: heights (k + 1, m) and places (k + 1, m, 3)."""
     most = np.maximum.accumulate(far, axis=0)
     slab = np.maximum.accumulate(np.where(far == most, np.arange(len(far))[:, None], 0), axis=0)
