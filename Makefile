@@ -29,6 +29,7 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/alignment.py
+	$(BIN)/python benchmarks/stress.py --containers
 	$(BIN)/python benchmarks/goals/run.py
 	$(BIN)/python benchmarks/film.py
 	$(BIN)/python benchmarks/rendering.py --packages out/bench

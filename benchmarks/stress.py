@@ -2,7 +2,8 @@
 command; and how its time grows with the number of objects.
 
 usage: python benchmarks/stress.py [CASE ...] [--seeds N ...] [--growth] [--out FOLDER]
-Exit codes: 0 all bounds hold, 1 one does not, or a run failed.
+       python benchmarks/stress.py --containers [--update] [--out FOLDER]
+Exit codes: 0 all bounds hold, 1 one does not, a run failed, or containers are worse than containers.json.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
+import baseline
 import caches
 import process
 import tables
@@ -22,6 +26,8 @@ from run import REPO
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 CONTAINERS = {"in_bowl": 3, "in_pan": 3, "in_mug": 2, "on_plate": 2, "in_crate": 2}
 """Scans in containers, and how many seeds make the family of twelve; by default they are not run."""
+CONTAINERS_FILE = Path(__file__).with_name("containers.json")
+"""What is expected of their means."""
 ROOMS = ("kitchen", "lounge", "bedroom", "study", "dining_room", "storeroom")
 """Floors with furniture that is itself objects; by default they are not run."""
 GROWTH = (5, 10, 20, 50)
@@ -68,21 +74,30 @@ def main() -> int:
     if args.growth:
         return grow(args, kernels)
     rows: dict[str, Row] = {}
-    for case in args.cases:
-        for seed in args.seeds:
-            name = f"{case}_{seed}"
-            print(f"{name} ...", end=" ", flush=True)
-            try:
-                rows[name] = one(case, seed, args.out, (kernels, proxies))
-                print(said(rows[name]), flush=True)
-            except process.RunError as error:
-                rows[name] = {"failed": str(error)}
-                print(f"FAILED: {error}", flush=True)
+    family = [(case, seed) for case, count in CONTAINERS.items() for seed in range(count)]
+    for case, seed in family if args.containers else product(args.cases, args.seeds):
+        name = f"{case}_{seed}"
+        print(f"{name} ...", end=" ", flush=True)
+        try:
+            rows[name] = one(case, seed, args.out, (kernels, proxies))
+            print(said(rows[name]), flush=True)
+        except process.RunError as error:
+            rows[name] = {"failed": str(error)}
+            print(f"FAILED: {error}", flush=True)
     _keep(args.out / "results.json", rows)
     show(rows)
     problems = [line for name, row in rows.items() for line in misses(name, row)]
     print("\n".join(problems) or "all bounds hold")
-    return int(bool(problems))
+    code = int(bool(problems))
+    if args.containers and not any("failed" in row for row in rows.values()):
+        code |= baseline.judged(CONTAINERS_FILE, {"containers": means(rows)}, update=args.update)
+    return code
+
+
+def means(rows: Mapping[str, Row]) -> dict[str, float]:
+    """The mean over all rows of what the containers' baseline has."""
+    wanted = baseline.read(CONTAINERS_FILE)["containers"].measures
+    return {measure: fmean(row[measure] for row in rows.values()) for measure in wanted}
 
 
 def one(case: str, seed: int, out: Path, kept: Sequence[Path]) -> Row:
@@ -183,6 +198,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
     parser.add_argument("--growth", action="store_true", help="only the growth table, cold")
+    parser.add_argument("--containers", action="store_true", help="the family of twelve, held against containers.json")
+    parser.add_argument("--update", action="store_true", help="write the means of --containers to containers.json")
     parser.add_argument("--counts", nargs="+", type=int, default=list(GROWTH), choices=GROWTH, metavar="N")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "bench" / "stress", help="inputs, packages, tables")
     args = parser.parse_args()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ablation
+import baseline
 import contact as bench
 import contact_report as report
 import damping
@@ -162,6 +163,16 @@ def test_bounds_are_told_by_measure() -> None:
         "unnamed",
     ]
     assert "FAILED" in next(stress.misses("a", {"failed": "killed"}))
+
+
+def test_containers_are_held_against_their_baseline() -> None:
+    expected = baseline.read(stress.CONTAINERS_FILE)["containers"]
+    assert len(expected.scenes) == sum(stress.CONTAINERS.values())
+    rows = {name: {m: e.value for m, e in expected.measures.items()} for name in expected.scenes}
+    assert not baseline.compare(expected, stress.means(rows)).problems
+    rows["in_bowl_0"]["mIoU_visible"], rows["in_crate_0"]["mIoU_visible"] = 0.687, 0.53
+    [problem] = baseline.compare(expected, stress.means(rows)).problems
+    assert problem.startswith("mIoU_visible")
 
 
 def test_a_decision_names_a_pair_by_their_ids() -> None:
