@@ -206,6 +206,8 @@ def _arguments() -> argparse.Namespace:
     known = (*CASES, *CONTAINERS, *ROOMS)
     if unknown := sorted(set(args.cases) - {*known}):
         parser.error(f"no cases {', '.join(unknown)}; there are {', '.join(known)}")
+    if args.update and not args.containers:
+        parser.error("--update belongs to --containers")
     args.out = args.out.resolve()
     return args
 

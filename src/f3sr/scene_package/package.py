@@ -269,7 +269,7 @@ def package_files(
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
     encode_pngs(o.mesh for o in scene.objects)
-    images = begun(lambda: [*_image_files(scene, inpainting, pictures or {})])
+    images = begun(list, _image_files(scene, inpainting, pictures or {}))
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")

@@ -243,15 +243,11 @@ class _Coarsening:
         if not moved:
             return
         restless |= self._falling(scene).keys()
-        was, now = visible_ious(self.scene), visible_ious(scene)
-        for ids in groups_of(self.scene, scene, self._config.contact.apart):
-            if not ids & moved:
-                continue
-            loss = float(np.mean([was[id] - now[id] for id in ids]))
-            stays = bool(ids & restless) or loss > LOSS_TO_WITHSTAND
+        for ids, effect in self._effects(scene, frozenset(moved), restless).items():
+            stays = bool(effect.restless) or effect.loss > LOSS_TO_WITHSTAND
             for id in sorted(ids & moved):
                 travel = f"{1000 * _travel(self.scene[id], scene[id]):.0f} mm"
-                self._told.append(_on_soft_contacts(id, travel, bool(ids & restless), loss, stays=stays))
+                self._told.append(_on_soft_contacts(id, travel, effect, stays=stays))
             if not stays:
                 self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
 
@@ -297,17 +293,17 @@ def _ended(o: SceneObject, T_world_object: Array) -> SceneObject:
     return o.moved(T, stage=Coarsened.stage, reason="fell or slid on soft contacts")
 
 
-def _on_soft_contacts(id: int, travel: str, is_restless: bool, loss: float, *, stays: bool) -> Decision:
-    """What became of an object that falls or slides by ``travel`` on soft contacts; ``loss`` is its group's."""
-    if is_restless:
+def _on_soft_contacts(id: int, travel: str, effect: _Effect, *, stays: bool) -> Decision:
+    """What became of an object that falls or slides by ``travel`` on soft contacts; ``effect`` is that on its group."""
+    if effect.restless:
         reason = "slides on soft contacts, which others have, wherever it is"
     elif stays:
-        there = f"there its group loses {loss:.2f} of visible IoU"
+        there = f"there its group loses {effect.loss:.2f} of visible IoU"
         reason = f"falls or slides by {travel} on soft contacts, which others have; {there}"
     else:
         reason = "rested on stiff contacts only: it fell or slid on soft ones, which others have"
     choice = "stays" if stays else f"moved by {travel}"
-    return Decision(choice=choice, reason=reason, about=id, fallback=stays and not is_restless)
+    return Decision(choice=choice, reason=reason, about=id, fallback=stays and not effect.restless)
 
 
 def _travel(before: SceneObject, after: SceneObject) -> float:

@@ -101,6 +101,7 @@ def refine(
     ``restless`` are the ids of objects that do not rest as they are.
     """
     state = SettledScene(scene=scene, restless=frozenset(restless))
+    seen = SettledScene(scene=aligned, restless=frozenset())
     before = state.seen
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
@@ -112,15 +113,15 @@ def refine(
     came = state
     state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
     decisions += told
-    lost = sorted(_lost(state, aligned, config.contact))
-    placed, told = _placed_again(came, lost, aligned, replaced, config)
+    lost = sorted(_lost(state, seen, config.contact))
+    placed, told = _placed_again(came, lost, seen, replaced, config)
     decisions += told
     if placed is not came:
         placed, told = _rounds(placed, lost, realigned, config)
         step = f"placed again and then re-aligned object {_named(lost)}"
         state, decision, _ = _better(state, placed, lost, step, config)
         decisions += [*told, decision]
-    state, told = _one_by_one(state, aligned, realigned, config)
+    state, told = _one_by_one(state, seen, realigned, config)
     decisions += told
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
@@ -147,14 +148,13 @@ def _rounds(
 
 
 def _one_by_one(
-    state: SettledScene, aligned: Scene, realigned: Retried, config: RefineConfig
+    state: SettledScene, seen: SettledScene, realigned: Retried, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """What contact keeps off its mask, re-aligned alone, what is farthest off first.
 
     A contact group is kept or undone as a whole: of objects that are re-aligned together, one may spoil what the others
     gain."""
-    seen = SettledScene(scene=aligned, restless=frozenset()).ious
-    off = {id: seen[id] - iou for id, iou in state.ious.items() if seen[id] - iou > LOST}
+    off = {id: seen.ious[id] - iou for id, iou in state.ious.items() if seen.ious[id] - iou > LOST}
     decisions = list[Decision]()
     for id in sorted(off, key=lambda id: -off[id]):
         step = f"re-alignment under contact of {id} alone"
@@ -164,27 +164,26 @@ def _one_by_one(
 
 
 def _placed_again(
-    state: SettledScene, ids: Sequence[int], aligned: Scene, replaced: Restarted, config: RefineConfig
+    state: SettledScene, ids: Sequence[int], seen: SettledScene, replaced: Restarted, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects where contact leads them from other starts near their masks: the best of all."""
     decisions: list[Decision] = []
     for k in range(RETURNS):
-        if not (ids := sorted(_lost(state, aligned, config.contact).intersection(ids))):
+        if not (ids := sorted(_lost(state, seen, config.contact).intersection(ids))):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
-        start = _as_seen(state.scene, aligned, ids, attempt=k)
+        start = _as_seen(state.scene, seen.scene, ids, attempt=k)
         tried = replaced(state.scene, ids, start=start, moving=frozenset(ids))
         state, decision, _ = _better(state, tried, ids, step, config)
         decisions.append(decision)
     return state, decisions
 
 
-def _lost(state: SettledScene, aligned: Scene, contact: ContactMargin) -> frozenset[int]:
+def _lost(state: SettledScene, seen: SettledScene, contact: ContactMargin) -> frozenset[int]:
     """Ids of the groups that contact moved off their masks. What fell away belongs to its group: the photo shows it
     there."""
-    was = SettledScene(scene=aligned, restless=frozenset()).ious
-    groups = groups_of(aligned, state.scene, contact.apart)
-    return frozenset(id for g in groups if len(g) > 1 and _gain(g, was, state.ious) < -LOST for id in g)
+    groups = groups_of(seen.scene, state.scene, contact.apart)
+    return frozenset(id for g in groups if len(g) > 1 and _gain(g, seen.ious, state.ious) < -LOST for id in g)
 
 
 def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int], *, attempt: int) -> Scene:
