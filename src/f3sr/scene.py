@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from f3sr.core import support_forest
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
-from f3sr.core.transforms import Array, frozen, transform
+from f3sr.core.transforms import Array, bounds_of, boxes_of, frozen, transform
 
 GROUND = -1
 """The id of the ground in supports and contacts."""
@@ -223,8 +223,7 @@ class SceneObject:
     @cached_property
     def bounds_world(self) -> Array:
         """Lowest and highest corner (2, 3) of the axis-aligned world box [m]."""
-        vertices = self.vertices_world
-        return np.stack([vertices.min(0), vertices.max(0)])
+        return bounds_of(self.vertices_world)
 
     @property
     def size(self) -> float:
@@ -252,6 +251,11 @@ class SceneObject:
     def colliders_world(self) -> tuple[ConvexPart, ...]:
         """``colliders`` in the world [m]."""
         return tuple(part.moved(self.T_world_asset) for part in self.colliders)
+
+    @cached_property
+    def boxes_world(self) -> Array:
+        """Lowest and highest corners (k, 2, 3) of the world boxes of its colliders [m]; its own where it has none."""
+        return boxes_of([p.vertices for p in self.colliders_world] or [self.vertices_world])
 
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""

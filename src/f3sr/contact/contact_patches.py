@@ -19,7 +19,7 @@ from f3sr.contact.compounds import Compound, Parts, compound, near_parts, placed
 from f3sr.contact.polytopes import Polytope, facets
 from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import UP, Array, frozen, pose
+from f3sr.core.transforms import UP, Array, cross, frozen, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.runtime.kernels import kernel
 from f3sr.scene import GROUND
@@ -197,9 +197,9 @@ def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
 
 def tangents(n: Array) -> tuple[Array, Array]:
     """Two unit vectors (..., 3) that make a right-handed frame with unit n (..., 3)."""
-    across = np.cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n)
+    across = cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n)
     u = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return u, np.asarray(np.cross(n, u), np.float64)
+    return u, cross(n, u)
 
 
 # Kernels

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from f3sr.contact.contact_patches import Contacts, hull_corners, tangents
 from f3sr.contact.static_bodies import StaticBody
-from f3sr.core.transforms import UP, Array
+from f3sr.core.transforms import UP, Array, cross
 from f3sr.scene import GROUND
 
 EDGES = 8
@@ -95,7 +95,7 @@ class Balance:
             # (c, e, 3) for the c contacts on members: force per weight of the body, and its moment per weight and size.
             force = sign * self.edges[on] * (self.units[on] / self.masses[body])[:, None, None]
             arm = self.contacts.points[on] - np.array([b.centers[0] for b in self.group])[body]
-            moment = np.cross(arm[:, None] / self.sizes[body][:, None, None], force)
+            moment = cross(arm[:, None] / self.sizes[body][:, None, None], force)
             rows = 6 * body[:, None, None] + np.arange(6)
             columns = self.edge_count * on[:, None, None] + np.arange(self.edge_count)[:, None]
             # Six rows per body (force / weight, moment / (weight * size)), one column per cone edge of each contact.
@@ -115,8 +115,8 @@ class Balance:
         """(6 n,) what contacts must balance untilted, and (6 n, 2) how tilt tangents change it."""
         arms = [(b.centers[min(center, len(b.centers) - 1)] - b.centers[0]) / b.size for b in self.group]
         # Gravity (a, b, -1) with tangents a, b of tilt: contacts must give (-a, -b, 1) at the centre of mass.
-        upright = np.concatenate([np.r_[UP, np.cross(arm, UP)] for arm in arms])
-        lean = [np.concatenate([np.r_[-e, np.cross(arm, -e)] for arm in arms]) for e in np.eye(3)[:2]]
+        upright = np.concatenate([np.r_[UP, cross(arm, UP)] for arm in arms])
+        lean = [np.concatenate([np.r_[-e, cross(arm, -e)] for arm in arms]) for e in np.eye(3)[:2]]
         return upright, np.stack(lean, axis=1)
 
     def stands(self) -> bool:

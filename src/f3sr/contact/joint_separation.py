@@ -77,6 +77,9 @@ class _Obstacle:
         self.pair, self.polygons = pair, polygons
         self.matrix = matrix
         """(2, n): the first's move against the second's, from the vector of all scaled moves."""
+        most = max(map(len, polygons))
+        self.sides = np.stack([np.pad(p, ((0, most - len(p)), (0, 0)), mode="edge") for p in polygons])
+        """(k, m, 3): the sides of all polygons; the last one of each again, where others have more."""
 
     @property
     def can_move(self) -> bool:
@@ -85,11 +88,15 @@ class _Obstacle:
 
     def deepest(self, x: Array) -> tuple[float, int]:
         """How deep the relative move lies inside the polygon it is deepest in, and which that is."""
-        r = self.matrix @ x
         # The depth in a convex polygon is that of the side that is nearest; negative outside.
-        depths = [float((p[:, :2] @ r + p[:, 2]).min()) for p in self.polygons]
-        worst = int(np.argmax(depths)) if depths else 0
-        return (depths[worst] if depths else -np.inf), worst
+        depths = self.depths(x).min(1)
+        worst = int(depths.argmax())
+        return float(depths[worst]), worst
+
+    def depths(self, x: Array) -> Array:
+        """(k, m) how deep the relative move lies below each of the ``sides``."""
+        u, v = self.matrix @ x
+        return self.sides[..., 0] * u + self.sides[..., 1] * v + self.sides[..., 2]
 
     def rows(self, polygon: Array) -> Array:
         """Rows (k, n + 1): being beyond side k is ``row[:-1] @ x >= row[-1]``."""
@@ -97,9 +104,7 @@ class _Obstacle:
 
     def beyond(self, x: Array) -> Array:
         """One row per polygon: the side that x is farthest beyond."""
-        r = self.matrix @ x
-        sides = [p[[int(np.argmin(p[:, :2] @ r + p[:, 2]))]] for p in self.polygons]
-        return self.rows(np.concatenate(sides))
+        return self.rows(self.sides[np.arange(len(self.sides)), self.depths(x).argmin(1)])
 
 
 class _Problem:

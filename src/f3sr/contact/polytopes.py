@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from f3sr.core.mesh import ConvexPart, area_vectors
-from f3sr.core.transforms import AFTER, Array, cross, frozen
+from f3sr.core.transforms import AFTER, Array, bounds_of, cross, frozen
 from f3sr.runtime.kernels import inner_kernel, kernel
 
 COPLANAR = 1e-7
@@ -96,7 +96,7 @@ class Polytope:
     @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner of the bounding box [m]."""
-        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+        return bounds_of(self.vertices)
 
     @cached_property
     def size(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, rotation_between
+from f3sr.core.transforms import Array, cross, rotation_between
 
 
 def stable_normals(hull: ConvexPart, center: Array) -> Array:
@@ -14,14 +14,14 @@ def stable_normals(hull: ConvexPart, center: Array) -> Array:
     A body standing on such a triangle does not tip over: its centre is above its support polygon.
     """
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     real = lengths > 1e-12 * lengths.max()
     a, b, c, normals = a[real], b[real], c[real], normals[real] / lengths[real, None]
     inside = np.ones(len(a), bool)
     for p, q in ((a, b), (b, c), (c, a)):
         # The centre is inside the three planes through the sides, at right angles to the triangle.
-        inside &= np.einsum("ij,ij->i", np.cross(q - p, center - p), normals) >= 0
+        inside &= np.einsum("ij,ij->i", cross(q - p, center - p), normals) >= 0
     return normals[inside]
 
 

@@ -16,7 +16,7 @@ from f3sr.contact.compounds import Compound, free_travel, smallest_shift
 from f3sr.contact.contact_patches import find_contacts, hull_corners
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of
-from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle, turn_about
+from f3sr.core.transforms import UP, Array, cross, pose, rotation_about, rotation_angle, turn_about
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.physics.mujoco_model import GROUND_ROLLING_FRICTION
 from f3sr.scene import Ground
@@ -158,7 +158,7 @@ class _Fall:
                 return True
             point, axis = pivot
             # Horizontal and at right angles to the axis: the way that the centre lacks.
-            across = np.cross(UP, axis)
+            across = cross(UP, axis)
             across /= max(float(np.linalg.norm(across)), 1e-12)
             arm = self.center - point
             self.missing.append((float(arm[2]), -float(arm @ across) * across[:2]))
@@ -298,5 +298,5 @@ def _way_out(corners: Array, center: Array, rolling: float) -> tuple[Array, Arra
     if length < 1e-12:
         return None
     axis = axis / length
-    sinks = np.cross(axis, center - a)[2]  # the centre's vertical speed
+    sinks = cross(axis, center - a)[2]  # the centre's vertical speed
     return (a, axis) if sinks < 0 else (a, -axis)

@@ -8,7 +8,7 @@ import numpy as np
 
 from f3sr.contact.undersides import Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, area_vectors
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of, boxes_of, cross
 
 STEEP = 1e-9
 """Vertical share of a unit normal below which a face has no height over a point."""
@@ -18,8 +18,10 @@ def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
     """Points (n, 3) that span the upper hull of convex parts over a region, among others that are not above it.
 
     They are the ends of the parts' edges, clipped to the region, and the parts' upper sides at its corners."""
-    low, high = region.corners.min(0), region.corners.max(0)
-    near = [p for p in parts if (p.vertices.min(0)[:2] <= high).all() and (p.vertices.max(0)[:2] >= low).all()]
+    low, high = bounds_of(region.corners)
+    boxes = boxes_of([p.vertices[:, :2] for p in parts]) if parts else np.empty((0, 2, 2))
+    is_near = ((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(1)
+    near = [parts[k] for k in np.flatnonzero(is_near).tolist()]
     found = [points for p in near for points in (_clipped_edges(p, region), _at_corners(p, region.corners))]
     return np.concatenate(found) if found else np.zeros((0, 3))
 
@@ -37,7 +39,7 @@ def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane |
     except ValueError:
         return None
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     met = normals[:, 2] > np.cos(max_turn)
     # Inside the triangle seen from above: to the left of its three edges, which run counter-clockwise.

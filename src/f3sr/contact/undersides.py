@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from f3sr.contact.stable_facets import stable_normals
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, transform
+from f3sr.core.transforms import Array, cross, transform
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
@@ -203,7 +203,7 @@ def _facet_below(body: StandingBody, plane: SupportPlane, config: FootingConfig)
     else:
         a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
         # Inward normals as long as twice the area: those of facets that face down point up.
-        areas = -np.cross(b - a, c - a)
+        areas = -cross(b - a, c - a)
         lengths = np.linalg.norm(areas, axis=1)
         normal = areas[areas @ plane.normal >= near * lengths].sum(0)
         if not normal.any():

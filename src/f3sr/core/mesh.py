@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array, cross, frozen, transform
+from f3sr.core.transforms import Array, bounds_of, cross, frozen, transform
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,7 +81,7 @@ class Mesh:
     @cached_property
     def bounds(self) -> Array:
         """Lowest and highest corner (2, 3), in the frame and unit of ``vertices``."""
-        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+        return bounds_of(self.vertices)
 
     @property
     def diagonal(self) -> float:
@@ -165,7 +165,7 @@ class ConvexPart:
         """Centre of volume (3,)."""
         origin = self.vertices.mean(0)
         a, b, c = (self.vertices[self.faces[:, k]] - origin for k in range(3))
-        volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
+        volumes = np.einsum("ij,ij->i", a, cross(b, c))
         return frozen(origin + volumes @ (a + b + c) / (4 * volumes.sum()))
 
     def above(self, normal: Array, offset: float) -> ConvexPart:
@@ -281,7 +281,7 @@ def surface_flaws(mesh: Mesh) -> Flaws:
     """Count the flaws of the welded surface of a mesh. A solid may only have triangles of no area."""
     vertices, faces = mesh.welded
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    degenerate = len(mesh.faces) - int(np.cross(b - a, c - a).any(1).sum())
+    degenerate = len(mesh.faces) - int(cross(b - a, c - a).any(1).sum())
     if mesh.is_solid:
         return Flaws(degenerate=degenerate, doubled=0, open=0, shared=0, turned=0, layers=False)
     n = len(vertices)
@@ -329,7 +329,7 @@ def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
     # About the mean: far from the origin the tetrahedra would be huge and cancel.
     v = vertices - vertices.mean(0)
     a, b, c = (v[faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+    return float(np.einsum("ij,ij->", a, cross(b, c)) / 6)
 
 
 def has_layers(vertices: Array, faces: NDArray[np.int32]) -> bool:
@@ -346,7 +346,7 @@ def has_layers(vertices: Array, faces: NDArray[np.int32]) -> bool:
         return False
     shell = shell_of_vertex[faces[:, 0]]
     a, b, c = ((vertices - vertices.mean(0))[faces[:, k]] for k in range(3))
-    volumes = np.bincount(shell, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
+    volumes = np.bincount(shell, np.einsum("ij,ij->i", a, cross(b, c)) / 6, count)
     outward = np.flatnonzero(volumes > 0)
     shells = [_submesh(vertices, faces[shell == k]) for k in outward]
     return len(shells) > 1 and _united_volume(shells) < 0.999 * volumes[outward].sum()
@@ -369,7 +369,7 @@ def mass_properties(vertices: Array, faces: NDArray[np.int32]) -> MassProperties
     origin = vertices.mean(0)
     v = vertices - origin
     a, b, c = (v[faces[:, k]] for k in range(3))
-    det = np.einsum("ij,ij->i", a, np.cross(b, c))
+    det = np.einsum("ij,ij->i", a, cross(b, c))
     volume = det.sum() / 6
     s = a + b + c
     center = (det[:, None] * s).sum(0) / 24 / volume

@@ -11,7 +11,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import mean_over_masks, visible_ious
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene
 from f3sr.vision.depth_prior import depth_errors
 
 IOU_OF_SHIFT = 4.0
@@ -56,7 +56,7 @@ def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
     from scipy.sparse.csgraph import connected_components
 
     ids = [o.id for o in before]
-    boxes = [[_boxes(scene[id]) for id in ids] for scene in (before, after)]
+    boxes = [[scene[id].boxes_world for id in ids] for scene in (before, after)]
     pairs = [
         (i, j)
         for i, j in combinations(range(len(ids)), 2)
@@ -66,11 +66,6 @@ def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
     links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(ids), len(ids)))
     count, group = connected_components(links, directed=False)
     return [{ids[i] for i in np.flatnonzero(group == k)} for k in range(count)]
-
-
-def _boxes(o: SceneObject) -> Array:
-    """Boxes (n, 2, 3) of an object's convex parts."""
-    return np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world] or [o.bounds_world])
 
 
 def _are_near(a: Array, b: Array, apart: float) -> bool:

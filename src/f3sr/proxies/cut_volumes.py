@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, cross
 from f3sr.proxies.hulls import bulk, distinct, outermost, spread
 
 LAYER = 0.003
@@ -180,6 +180,6 @@ def _sphere() -> tuple[Array, NDArray[np.int64]]:
     directions = spread(DIRECTIONS)
     triangles = np.asarray(ConvexHull(directions).simplices, np.int64)
     a, b, c = (directions[triangles[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
+    inward = np.einsum("ij,ij->i", cross(b - a, c - a), a) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     return directions, triangles

@@ -148,9 +148,8 @@ class _Fewer:
         self._refused = set[tuple[ConvexPart, ...]]()
         self._few: dict[ConvexPart, ConvexPart | None] = {}
         self._nearer = NEARER
-        boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
         self._reached = limits.apart + REACHED * self._size * o.scale
-        low, high = boxes[:, 0].min(0) - self._reached, boxes[:, 1].max(0) + self._reached
+        low, high = o.boxes_world[:, 0].min(0) - self._reached, o.boxes_world[:, 1].max(0) + self._reached
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
         self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
         self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)

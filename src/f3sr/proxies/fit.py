@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.mesh import ConvexPart, MassProperties, is_closed, signed_volume
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of
 from f3sr.proxies.hulls import outside, planes
 from f3sr.proxies.surface import Faces, NearestTriangles, Samples, Surroundings, samples_of, stand_off
 
@@ -82,7 +82,7 @@ def floor_excess(parts: Sequence[ConvexPart], samples: Samples) -> float | None:
 def _hidden(parts: Sequence[ConvexPart], points: Array) -> NDArray[np.bool_]:
     hidden = np.zeros(len(points), bool)
     for part in parts:
-        low, high = part.vertices.min(0), part.vertices.max(0)
+        low, high = bounds_of(part.vertices)
         near = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         hidden[near] |= outside([part], points[near])[:, 0] < -HIDDEN if len(near) else False
     return hidden

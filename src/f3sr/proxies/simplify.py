@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of, cross
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import planes
 
@@ -72,15 +72,15 @@ def _first_planes(hull: ConvexPart, base: Planes | None) -> Planes:
 def _flats(hull: ConvexPart, share: float) -> Array:
     """Mean normals (k, 3) of facets that face nearly the same way and hold ``share`` of the hull's area."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    area = np.linalg.norm(cross, axis=1)
-    normals = cross / np.maximum(area, np.finfo(float).tiny)[:, None]
+    areas = cross(b - a, c - a)
+    area = np.linalg.norm(areas, axis=1)
+    normals = areas / np.maximum(area, np.finfo(float).tiny)[:, None]
     left, flats = area.copy(), list[Array]()
     seeds = np.flatnonzero(_area_around(normals, area) >= share * area.sum())
     for seed in seeds[np.argsort(-area[seeds], kind="stable")]:
         near = (normals @ normals[seed] > np.cos(SAME_FLAT)) & (left > 0)
         if left[seed] > 0 and left[near].sum() >= share * area.sum():
-            mean = cross[near].sum(0)
+            mean = areas[near].sum(0)
             flats.append(mean / np.linalg.norm(mean))
             left[near] = 0
     return np.array(flats).reshape(-1, 3)
@@ -107,7 +107,7 @@ def corners_of(normals: Array, offsets: Array, hull: ConvexPart, inside: Array |
     from scipy.spatial import HalfspaceIntersection, QhullError
 
     middle: Array = hull.vertices.mean(0) if inside is None else inside
-    low, high = hull.vertices.min(0), hull.vertices.max(0)
+    low, high = bounds_of(hull.vertices)
     margin = (high - low).max()
     box = np.concatenate([np.eye(3), -np.eye(3)])
     box_offsets = np.concatenate([high + margin, margin - low])

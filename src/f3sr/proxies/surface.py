@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, cross
 from f3sr.proxies.hulls import Hull
 
 PROBE = 0.03
@@ -116,10 +116,10 @@ class NearestTriangles:
         corners = vertices[faces]
         samples = samples_of(corners, NEAREST_POINTS)
         edges = np.roll(corners, -1, axis=1) - corners
-        cross = np.cross(edges[:, 0], edges[:, 1])
+        normals = cross(edges[:, 0], edges[:, 1])
         tiny = np.finfo(float).tiny
-        normals = cross / np.maximum(np.linalg.norm(cross, axis=1), tiny)[:, None]
-        inward: Array = np.cross(normals[:, None], edges).astype(np.float64)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), tiny)[:, None]
+        inward = cross(normals[:, None], edges)
         return cls(
             corners=corners,
             edges=edges,
@@ -183,8 +183,8 @@ class Subject:
 def samples_of(triangles: Array, count: int) -> Samples:
     """``count`` points spread over triangles (n, 3, 3) by area, in their order, the same ones every time."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    cross = np.cross(b - a, c - a)
-    area = np.linalg.norm(cross, axis=1)
+    areas = cross(b - a, c - a)
+    area = np.linalg.norm(areas, axis=1)
     reached = np.cumsum(area)
     triangle = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     triangle = np.minimum(triangle, len(triangles) - 1)
@@ -192,7 +192,7 @@ def samples_of(triangles: Array, count: int) -> Samples:
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
     points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
-    normals = cross[triangle] / np.maximum(area[triangle], np.finfo(float).tiny)[:, None]
+    normals = areas[triangle] / np.maximum(area[triangle], np.finfo(float).tiny)[:, None]
     return Samples(points=points, normals=normals, triangle=triangle, weight=np.ones(count))
 
 
@@ -226,7 +226,7 @@ def _cell(vertices: Array, faces: Faces) -> float:
 def area_of(triangles: Array) -> float:
     """Of triangles (n, 3, 3)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    return float(np.linalg.norm(cross(b - a, c - a), axis=1).sum()) / 2
 
 
 def _dense(vertices: Array, faces: Faces, step: float) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, places
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of, cross
 from f3sr.proxies.cuts import OVERLAP, below
 from f3sr.proxies.hulls import qhull_of
 from f3sr.proxies.simplify import corners_of, merged
@@ -125,7 +125,7 @@ def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, nea
         if (spot := _in_the_way(part, place, near.tolerance, SLACK * surface.size)) is None:
             continue
         if part not in surface.held:
-            around = surface.around(part.vertices.min(0), part.vertices.max(0))
+            around = surface.around(*bounds_of(part.vertices))
             surface.held[part] = _Held.of(part, around, surface.size)
         left = _trimmed(surface.held[part], place, spot, near, SPLITS)
         surface.held.update({h.part: h for h in left})
@@ -270,9 +270,9 @@ def _left_outside(points: Array, w: Array, at: Array, spot: Array) -> float:
 
 def _across(direction: Array) -> Iterator[Array]:
     """Unit vectors across a direction, at even angles."""
-    u = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    u = cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     u /= np.linalg.norm(u)
-    v = np.cross(direction, u)
+    v = cross(direction, u)
     for angle in np.pi * np.arange(TURNS) / TURNS:
         yield np.cos(angle) * u + np.sin(angle) * v
 
@@ -297,10 +297,10 @@ def _hull_planes(points: Array) -> Planes | None:
 
 def _on_planes(a: Array, b: Array, c: Array, x: Array) -> Array:
     """The feet (k, 3) of x on the planes of triangles, of those in which they fall."""
-    normal = np.cross(b - a, c - a)
+    normal = cross(b - a, c - a)
     inside = np.einsum("ij,ij->i", normal, normal) > 0
     for start, end in ((a, b), (b, c), (c, a)):
-        inside &= np.einsum("ij,ij->i", np.cross(end - start, x - start), normal) >= 0
+        inside &= np.einsum("ij,ij->i", cross(end - start, x - start), normal) >= 0
     a, normal = a[inside], normal[inside]
     t = np.einsum("ij,ij->i", normal, x - a) / np.einsum("ij,ij->i", normal, normal)
     return x - t[:, None] * normal

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, cross
 from f3sr.scene import Geometry, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled
@@ -96,7 +96,7 @@ class DepthEvidence:
         y, x = pixels.T + 0.5
         rays = np.linalg.solve(self.camera.K, np.stack([x, y, np.ones_like(x)]))  # (3, n)
         corners = self.camera.to_camera(o.vertices_world)[o.mesh.faces[faces]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
+        normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
         normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
         normals *= np.where((normals * rays).sum(0) < 0, -1.0, 1.0)
         along = np.maximum((normals * rays).sum(0), GRAZING * np.linalg.norm(rays, axis=0))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, cross
 
 GROUPS = 4
 """Strips along each of two axes that split the ground's points into groups for the jackknife: 16 in all."""
@@ -85,7 +85,7 @@ def fit_plane(points: Array, rng: np.random.Generator, tolerance: float) -> Grou
     """
     sample = points[rng.choice(len(points), min(len(points), 2000), replace=False)]
     a, b, c = (points[rng.integers(len(points), size=HYPOTHESES)] for _ in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 1e-12)
     offsets = np.einsum("ij,ij->i", normals, a)

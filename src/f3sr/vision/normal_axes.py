@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, cross
 from f3sr.vision.silhouette import resample
 
 LETTERS = ("rl", "du", "fb")
@@ -102,7 +102,7 @@ def normals_of_points(points: NDArray[np.floating], valid: NDArray[np.bool_]) ->
     left, right = p[step:-step, : -2 * step], p[step:-step, 2 * step :]
     above, below = p[: -2 * step, step:-step], p[2 * step :, step:-step]
     with np.errstate(invalid="ignore", divide="ignore"):
-        across = np.cross(right - left, below - above)
+        across = cross(right - left, below - above)
         unit = across / np.linalg.norm(across, axis=2, keepdims=True)
         unit *= np.where((unit * p[inner]).sum(2) > 0, -1, 1)[..., None]
         depths = np.stack([left[..., 2], right[..., 2], above[..., 2], below[..., 2]])

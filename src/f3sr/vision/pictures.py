@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import Array, pose, turn_about
+from f3sr.core.transforms import Array, cross, pose, turn_about
 from f3sr.io.images import resized
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
@@ -164,7 +164,7 @@ def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: b
     forward = scene.camera.T_world_camera[:3, 0] * [1, 1, 0]
     forward = -forward / np.linalg.norm(forward)
     down = np.array([0.0, 0, -1])
-    R = np.stack([np.cross(down, forward), down, forward], axis=1)
+    R = np.stack([cross(down, forward), down, forward], axis=1)
     # Rows times R is R' x: points in the side camera's axes, unshifted. y runs down.
     seen = np.concatenate([o.vertices_world @ R for s in (scene, *others) for o in s])
     low, high = seen.min(0), seen.max(0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array, bounds_of, pose
 from f3sr.scene import Scene
 from f3sr.vision import height_map
 from f3sr.vision.height_map import Grid
@@ -67,7 +67,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, id: int, vertices: Array, faces: NDArray[np.int32], cells: int) -> Surfaces:
-        first, last = vertices.min(0), vertices.max(0)
+        first, last = bounds_of(vertices)
         size = float(np.linalg.norm(last - first))
         grid = Grid.over(first, last, max(float((last - first)[:2].max()), 1e-3 * size) / cells)
         high, low = height_map.upper(vertices, faces, grid), height_map.lower(vertices, faces, grid)
@@ -78,7 +78,7 @@ class Surfaces:
     @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner."""
-        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+        return bounds_of(self.vertices)
 
     @property
     def lowest(self) -> float:
