@@ -19,6 +19,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
 from f3sr.physics import mujoco_model, settling
 from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
+from f3sr.physics.outlook import Outlook, Snapshot
 from f3sr.physics.release import RELEASE_MARGIN, filling, release
 from f3sr.physics.settling import RestConfig, SettleConfig, settle
 from f3sr.scene import SceneObject
@@ -171,14 +172,13 @@ def test_what_drifts_as_far_in_every_round_creeps(drifts: list[float], creeps: b
     assert settling._creeps(drifts) is creeps
 
 
-def outlook(way: Callable[[float], float], *, drift: float = 0.0, windows: int = 10) -> settling._Outlook | None:
+def outlook(way: Callable[[float], float], *, drift: float = 0.0, windows: int = 10) -> Outlook | None:
     """That of a body that moves along x by ``way`` [m] of the time [s] and has drifted so far, beside one that is
     still, with 15 windows of .2 s left."""
     seen = [
-        settling._Snapshot(np.array([[0.0, 0, 0], [0, 0, 0], [way(0.2 * k), 0, 0]]), np.zeros((3, 3, 3)))
-        for k in range(windows)
+        Snapshot(np.array([[0.0, 0, 0], [0, 0, 0], [way(0.2 * k), 0, 0]]), np.zeros((3, 3, 3))) for k in range(windows)
     ]
-    return settling._Outlook.of(seen, np.array([0.0, drift]), 5e-4, left=15)
+    return Outlook.of(seen, np.array([0.0, drift]), 5e-4, left=15)
 
 
 @pytest.mark.parametrize("rate", [2.0, 6.0])

@@ -60,7 +60,10 @@ def invert_pose(T: Array) -> Array:
 
 def transform(T: Array, points: Array) -> Array:
     """Points (..., 3) under an affine transform T (4, 4)."""
-    return points @ T[:3, :3].T + T[:3, 3]
+    moved: Array = points @ np.ascontiguousarray(T[:3, :3].T)
+    for k in range(3):  # by columns: rows of three are too short for NumPy's loops
+        moved[..., k] += T[k, 3]
+    return moved
 
 
 def cross(a: Array, b: Array) -> Array:

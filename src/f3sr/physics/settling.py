@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -26,6 +25,7 @@ from f3sr.physics.mujoco_model import (
     engine,
 )
 from f3sr.physics.near_pairs import NearPairs
+from f3sr.physics.outlook import Outlook, Snapshot
 from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Ground, SceneObject
@@ -72,13 +72,6 @@ CREEPING = 3
 """Rounds without less drift after which a scene creeps."""
 FALLING = 0.9
 """Share of the earlier drift below which the drift still falls."""
-LOOK = 2
-"""Windows whose largest travel is compared with that of as many before: contacts tremble from one to the next."""
-STILL = 1e-9
-"""Travel in a window that is rounding [m]."""
-DOUBT = 4.0
-"""Factor on a foreseen drift, to either side. With it none of 16 checks that failed, of 173 in eleven scenes, would
-have passed; with 2 one would have."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -184,11 +177,11 @@ class _Settling:
         """Damped steps until the mean speeds of a window of ``rest.window`` are low, or the time is up."""
         damping = 1 - self.config.damping * self._model.opt.timestep
         while self.seconds < self.config.time_limit and not self.exploded:
-            before = _Snapshot.of(data)
+            before = Snapshot.of(data)
             for _ in range(self._window):
                 self._step(data, damping)
             self.seconds += self.config.rest.window
-            if self._slow(before, _Snapshot.of(data)):
+            if self._slow(before, Snapshot.of(data)):
                 return
 
     def released(self, checks: Mapping[NearPairs, float], data: MjData) -> tuple[Array, MjData | None]:
@@ -215,7 +208,7 @@ class _Settling:
         They end early when no body would drift too far even if its travel went on growing as it does. They also end
         when a body creeps: then the travels are those foreseen for all of the time."""
         engine().mj_forward(self._model, data)
-        seen = [_Snapshot.of(data)]
+        seen = [Snapshot.of(data)]
         drifts = np.zeros(self._model.nbody - 1)
         windows = max(1, round(seconds / self.config.rest.window))
         while len(seen) <= windows and not self.unwanted:
@@ -224,10 +217,10 @@ class _Settling:
                 way = data.xipos - seen[0].centers
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
-            seen.append(_Snapshot.of(data))
+            seen.append(Snapshot.of(data))
             if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
-            outlook = _Outlook.of(seen, drifts, self.config.rest.drift, left=windows - len(seen) + 1)
+            outlook = Outlook.of(seen, drifts, self.config.rest.drift, left=windows - len(seen) + 1)
             if outlook and outlook.rests:
                 break
             if outlook and outlook.creeps:
@@ -251,79 +244,13 @@ class _Settling:
         self.max_speed = max(self.max_speed, speed)
         self.exploded = self.exploded or not np.isfinite(speed)
 
-    def _slow(self, before: _Snapshot, after: _Snapshot) -> bool:
+    def _slow(self, before: Snapshot, after: Snapshot) -> bool:
         """True when every body's mean speeds between two snapshots, one window apart, are below both limits."""
         linear = np.linalg.norm(after.centers - before.centers, axis=1).max() / self.config.rest.window
         turns = np.einsum("nij,nij->n", after.turns, before.turns)
         angular = np.arccos(np.clip((turns.min() - 1) / 2, -1, 1)) / self.config.rest.window
         self.exploded = self.exploded or not np.isfinite(linear + angular)
         return bool(linear < self.config.rest.speed and angular < self.config.rest.turning)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Outlook:
-    """What an undamped check would end with: what creeps goes on, what tips grows by the same factor in every
-    window."""
-
-    drifts: Array
-    """(n,) [m] so far."""
-    before: Array
-    now: Array
-    """(n,) [m]: the largest travel in a window, of ``LOOK`` windows and of the ``LOOK`` last ones."""
-    left: int
-    """Windows."""
-    limit: float
-    """Of the drift [m]."""
-
-    @classmethod
-    def of(cls, seen: Sequence[_Snapshot], drifts: Array, limit: float, left: int) -> _Outlook | None:
-        """None in the first second: in its first window wider margins push."""
-        if len(seen) < 2 * LOOK + 2:
-            return None
-        recent = seen[-2 * LOOK - 1 :]
-        ways = np.stack([np.linalg.norm(b.centers - a.centers, axis=1)[1:] for a, b in pairwise(recent)])
-        before, now = np.maximum(ways[:LOOK].max(0), STILL), np.maximum(ways[LOOK:].max(0), STILL)
-        return cls(drifts=drifts, before=before, now=now, left=left, limit=limit)
-
-    @property
-    def rests(self) -> bool:
-        """Whether every body's drift stays allowed, were all of them ``DOUBT`` times faster."""
-        return bool((self.drifts + DOUBT * self._ahead(np.maximum(1.0, self._growth)) <= self.limit).all())
-
-    @property
-    def creeps(self) -> bool:
-        """Whether a body's drift will not stay allowed, were it ``DOUBT`` times slower, and none is ever faster that
-        drifts too far at its present speed."""
-        slower = self._growth <= 1
-        faster = ~slower & (self.drifts + self.now * self.left > self.limit)
-        too_far = self.drifts + self._ahead(self._growth) / DOUBT > self.limit
-        return bool((slower & too_far).any() and not faster.any())
-
-    @property
-    def foreseen(self) -> Array:
-        """(n,) [m]: the drifts at the end."""
-        return self.drifts + self._ahead(np.minimum(1.0, self._growth))
-
-    @property
-    def _growth(self) -> Array:
-        """(n,): factor on the travel from one window to the next."""
-        return (self.now / self.before) ** (1 / LOOK)
-
-    def _ahead(self, growth: Array) -> Array:
-        """Travel (n,) [m] in the windows that are left."""
-        return self.now * (growth[:, None] ** np.arange(1, self.left + 1)).sum(1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Snapshot:
-    """Centres of mass (n, 3) [m] and orientations (n, 3, 3) of all bodies."""
-
-    centers: Array
-    turns: Array
-
-    @classmethod
-    def of(cls, data: MjData) -> _Snapshot:
-        return cls(data.xipos.copy(), data.xmat.copy().reshape(-1, 3, 3))
 
 
 def pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:

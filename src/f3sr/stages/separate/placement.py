@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -29,7 +31,7 @@ class Placement:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.depth_sigma = depth_prior.sigmas(scene)
-        self.evidence = _evidence(scene)
+        self._evidence = dict[int, float]()
         self.bodies = {o.id: placed((*o.parts, *o.footing), o.T_world_asset) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {o.id: o.footing for o in scene}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
@@ -116,7 +118,20 @@ class Placement:
 
     def picture(self, id: int) -> Array:
         """``loss`` in the unit of PICTURE_SIGMA: less where the object misses its mask, and so is known badly."""
-        return self.evidence[id] * self.loss(id)
+        if id not in self._evidence:
+            self._evidence[id] = self._weight(self.scene[id])
+        return self._evidence[id] * self.loss(id)
+
+    def _weight(self, o: SceneObject) -> float:
+        """Weight of the picture: 1 where a silhouette matches its mask, else the square of how much less it misses then
+        (the variance of a least-squares estimate grows with its residual)."""
+        region = comparable_region(o, self._nearer[o.id], self.scene)
+        missed = 1 - iou(full_silhouette(o, self.scene.camera), o.mask, region)
+        return (MATCHED / max(MATCHED, missed)) ** 2
+
+    @cached_property
+    def _nearer(self) -> Mapping[int, list[SceneObject]]:
+        return nearer_objects(self.scene)
 
     def depth_loss(self, id: int) -> Array:
         """Metric (3, 3) of the geometry in the unit of ``picture``: rank 1, along the viewing ray."""
@@ -142,14 +157,3 @@ class Placement:
         """Pairs of ids that overlap, the ground included as the second."""
         pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
-
-
-def _evidence(scene: Scene) -> dict[int, float]:
-    """Weight of the picture by id: 1 where a silhouette matches its mask, else the square of how much less it misses
-    then (the variance of a least-squares estimate grows with its residual)."""
-    nearer = nearer_objects(scene)
-    missed = {
-        o.id: 1 - iou(full_silhouette(o, scene.camera), o.mask, comparable_region(o, nearer[o.id], scene))
-        for o in scene
-    }
-    return {id: (MATCHED / max(MATCHED, m)) ** 2 for id, m in missed.items()}
