@@ -137,6 +137,7 @@ def reconstruct(
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress, seen=seen)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)
+    as_it_is = replace(config.align, camera=False, objects=False)
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     early = "assemble" not in run.resumed and "decompose" not in run.skip
@@ -165,7 +166,7 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
-        replaced=partial(again, aligning=replace(config.align, camera=False, objects=False)),
+        replaced=[partial(again, aligning=as_it_is, together=together) for together in (True, False)],
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
         realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
@@ -265,18 +266,19 @@ def _made_again(
     config: Config,
     closes: bool,
     gives_up: bool = True,
+    together: bool = False,
 ) -> SettledScene:
     """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
     groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
-    closed, but put back."""
+    closed, but put back. ``together``: they come into contact by one joint move."""
     contact = config.refine.contact
     aligned, _ = align(start or scene, aligning, only=ids)
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
-    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
+    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False, together=together)
     rested = _rested(parted, config.settle)
     retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene

@@ -2,9 +2,8 @@
 
 The free relative shifts of two bodies are the outside of a union of convex polygons. A body is outside a polygon when
 it is beyond one of its sides. So branch and bound over sides, best first, finds the least move. Each choice of sides
-leaves a quadratic programme whose cost bounds all choices below it (Lawson and Hanson, "Solving Least Squares
-Problems", chapter 23: least distance by non-negative least squares). The first solution comes from a pairwise
-iteration, shortened. So the search can stop at any time.
+leaves a quadratic programme whose cost bounds all choices below it. The first solution comes from a pairwise iteration,
+shortened. So the search can stop at any time.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 
 from f3sr.contact.compounds import Compound, forbidden_polygons
 from f3sr.contact.horizontal_moves import nearest_free
+from f3sr.contact.least_norm import shortest
 from f3sr.core.transforms import Array
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
@@ -189,7 +189,7 @@ class _Problem:
         """
         outside = not _violated(obstacles, x)
         for _ in range(ROUNDS if obstacles else 0):
-            shorter = _least(np.concatenate([o.beyond(x) for o in obstacles]))
+            shorter = shortest(np.concatenate([o.beyond(x) for o in obstacles]))
             if shorter is None or _violated(obstacles, shorter):
                 return x
             if outside and shorter @ shorter > x @ x * (1 - 1e-6):
@@ -220,7 +220,7 @@ class _Problem:
             for side in worst.rows(worst.polygons[k]):
                 solved += 1
                 chosen = np.concatenate([rows, side[None]])
-                if (found := _least(chosen)) is not None and (overlaps or found @ found < limit):
+                if (found := shortest(chosen)) is not None and (overlaps or found @ found < limit):
                     heapq.heappush(waiting, (float(found @ found), next(order), found, chosen))
         return best, not waiting and not _worth(obstacles, best)[0]
 
@@ -262,23 +262,3 @@ def _independent(obstacles: Sequence[_Obstacle]) -> Iterator[list[_Obstacle]]:
         groups.append((used.union(*(g[0] for g in touching)), [m for g in touching for m in g[1]] + members))
     for _, members in groups:
         yield members
-
-
-def _least(rows: Array) -> Array | None:
-    """The shortest x with ``rows[:, :-1] @ x >= rows[:, -1]``, None when there is none."""
-    from scipy.optimize import nnls
-
-    if not len(rows) or (rows[:, -1] <= 0).all():
-        return np.zeros(rows.shape[1] - 1)
-    # Lawson and Hanson's LDP: with E = [G'; h'] and f = (0, .., 0, 1), u >= 0 least in |E u - f|, r = E u - f, the
-    # shortest x with G x >= h is -r[:n] / r[n]. r = 0 says that no x exists. h is scaled to 1 for the rounding test.
-    unit = np.abs(rows[:, -1]).max()
-    E = np.vstack([rows[:, :-1].T, rows[:, -1] / unit])
-    target = np.zeros(len(E))
-    target[-1] = 1
-    scale = np.maximum(np.linalg.norm(E, axis=0), 1e-300)
-    u, _ = nnls(E / scale, target, maxiter=30 * E.shape[1])
-    left = (E / scale) @ u - target
-    if abs(left[-1]) < 1e-10:
-        return None
-    return -left[:-1] / left[-1] * unit

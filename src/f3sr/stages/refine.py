@@ -28,9 +28,6 @@ UPRIGHT = math.radians(25)
 """Largest turn [rad] onto the stable facet on which a toppled object is stood."""
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
-RETURNS = 2
-"""Most times that a group which contact moved off its masks is placed again: a third time gained
-nothing in the five of thirteen scenes that had such groups."""
 LOST = 0.03
 """Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it; or an
 object, from which on it is re-aligned alone."""
@@ -89,14 +86,14 @@ def refine(
     aligned: Scene,
     parted: Scene,
     stood_up: Restarted,
-    replaced: Restarted,
+    replaced: Sequence[Restarted],
     realigned: Retried,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
-    What is off its masks then is also placed again from where ``aligned`` has it, and aligned from there. At last every
-    object that is still off its mask is re-aligned alone.
+    What is off its masks then is also placed again from where ``aligned`` has it, in each way of ``replaced`` until it
+    is not, and aligned from there. At last every object that is still off its mask is re-aligned alone.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -164,16 +161,16 @@ def _one_by_one(
 
 
 def _placed_again(
-    state: SettledScene, ids: Sequence[int], seen: SettledScene, replaced: Restarted, config: RefineConfig
+    state: SettledScene, ids: Sequence[int], seen: SettledScene, replaced: Sequence[Restarted], config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects where contact leads them from other starts near their masks: the best of all."""
     decisions: list[Decision] = []
-    for k in range(RETURNS):
+    for k, settles in enumerate(replaced):
         if not (ids := sorted(_lost(state, seen, config.contact).intersection(ids))):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
         start = _as_seen(state.scene, seen.scene, ids, attempt=k)
-        tried = replaced(state.scene, ids, start=start, moving=frozenset(ids))
+        tried = settles(state.scene, ids, start=start, moving=frozenset(ids))
         state, decision, _ = _better(state, tried, ids, step, config)
         decisions.append(decision)
     return state, decisions

@@ -83,8 +83,13 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
 def weight_of(layout: Placement, *ids: int) -> Array:
     """Metric (2, 2) [1/m2] of a horizontal move of bodies together, as squared IoU: IoU that they lose, error of
     depth in that unit, and a small regulariser by size."""
-    felt = sum((layout.picture(k)[:2, :2] + layout.depth_loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))
-    return felt + np.eye(2) * (UNFELT / layout.scene[ids[0]].size) ** 2
+    return metric_of(layout, *ids)[:2, :2]
+
+
+def metric_of(layout: Placement, *ids: int) -> Array:
+    """``weight_of`` for moves in space, (3, 3)."""
+    felt = sum((layout.picture(k) + layout.depth_loss(k) for k in ids), np.zeros((3, 3)))
+    return felt + np.eye(3) * (UNFELT / layout.scene[ids[0]].size) ** 2
 
 
 def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:

@@ -1,0 +1,35 @@
+"""The shortest vector that satisfies linear inequalities (Lawson and Hanson, "Solving Least Squares Problems", chapter
+23: least distance by non-negative least squares)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f3sr.core.transforms import Array
+
+
+def shortest(rows: Array) -> Array | None:
+    """The shortest x (n,) with ``rows[:, :-1] @ x >= rows[:, -1]`` for rows (k, n + 1), None when there is none."""
+    from scipy.optimize import nnls
+
+    if not len(rows) or (rows[:, -1] <= 0).all():
+        return np.zeros(rows.shape[1] - 1)
+    # With E = [G'; h'] and f = (0, .., 0, 1), u >= 0 least in |E u - f|, r = E u - f, the shortest x with G x >= h is
+    # -r[:n] / r[n]. r = 0 says that no x exists. h is scaled to 1 for the rounding test.
+    unit = np.abs(rows[:, -1]).max()
+    E = np.vstack([rows[:, :-1].T, rows[:, -1] / unit])
+    target = np.zeros(len(E))
+    target[-1] = 1
+    scale = np.maximum(np.linalg.norm(E, axis=0), 1e-300)
+    u, _ = nnls(E / scale, target, maxiter=30 * E.shape[1])
+    left = (E / scale) @ u - target
+    if abs(left[-1]) < 1e-10:
+        return None
+    return -left[:-1] / left[-1] * unit
+
+
+def nearly(rows: Array, price: float) -> Array:
+    """The x (n,) with the least ``|x|^2 + price |s|^2``, where ``rows[:, :-1] @ x + s >= rows[:, -1]``."""
+    found = shortest(np.hstack([rows[:, :-1], np.eye(len(rows)) / np.sqrt(price), rows[:, -1:]]))
+    assert found is not None, "slack satisfies any rows"
+    return found[: rows.shape[1] - 1]
