@@ -35,7 +35,7 @@ from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, refine
+from f3sr.stages.refine import UPRIGHT, Manner, RefineConfig, Refined, Restarted, Retry, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
 from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
@@ -137,7 +137,6 @@ def reconstruct(
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress, seen=seen)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)
-    as_it_is = replace(config.align, camera=False, objects=False)
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     early = "assemble" not in run.resumed and "decompose" not in run.skip
@@ -166,9 +165,9 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
-        replaced=[partial(again, aligning=as_it_is, together=together) for together in (True, False)],
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
-        realigned=partial(again, aligning=config.align.under_contact()),
+        one_by_one=_manner(again, config.align),
+        together=_manner(partial(again, together=True), config.align),
         restless=settled.restless,
     )
     scene, _ = run.stage(
@@ -286,6 +285,13 @@ def _made_again(
         at_rest = partial(_rested, config=config.settle)
         scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
     return retry.ended(replace(rested, scene=scene), contact)
+
+
+def _manner(again: Callable[..., SettledScene], aligning: AlignConfig) -> Manner:
+    as_they_are = replace(aligning, camera=False, objects=False)
+    return Manner(
+        placed=partial(again, aligning=as_they_are), realigned=partial(again, aligning=aligning.under_contact())
+    )
 
 
 def settling(config: Config) -> Restarted:

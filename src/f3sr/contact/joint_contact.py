@@ -128,13 +128,12 @@ class _Problem:
         rates = np.einsum("fi,fin->fn", self.normals, self.matrices[self.pair])
         self.exits = 1 / np.maximum(np.linalg.norm(rates, axis=1), np.finfo(float).tiny)
         """Way in x per metre out of a facet: small where leaving by it is cheap."""
-        # Per body that stands, the pairs of parts it may be lowered onto, and whether it is their first.
+        # Per body that stands, its pairs of parts, and those in which it may stand on the other, first or second.
+        first, second = np.array(self.pairs, int).reshape(-1, 2).T
+        carries = np.array([pair in above for pair in self.pairs], bool)
+        carried = np.array([(b, a) in above for a, b in self.pairs], bool)
         self.lowered = {
-            id: [
-                (k, 1.0 if id == a else -1.0)
-                for k, (a, b) in enumerate(self.pairs)
-                if (id == a and (a, b) not in above) or (id == b and (b, a) not in above)
-            ]
+            id: (np.flatnonzero((first == id) & ~carries), np.flatnonzero((second == id) & ~carried))
             for id in self.standing
         }
 
@@ -195,28 +194,40 @@ class _Problem:
         """Rows (s, n + 1) that hold every body that stands down on what it would meet first, and the largest height of
         one above that [m]. What overlaps something leaves it first."""
         rows, highest = [np.zeros((0, self.size + 1))], 0.0
-        free = np.minimum.reduceat(depths, self.starts) <= INSIDE if len(depths) else np.zeros(0, bool)
-        for id, pairs in self.lowered.items():
-            if not all(free[k] for k, _ in pairs):
+        free, heights = self._heights(depths)
+        for id, (upper, lower) in self.lowered.items():
+            if not (free[upper].all() and free[lower].all()):
                 continue
             on = self.ground[id]
             height = float(on[:-1] @ x - on[-1])
-            for k, sign in pairs:
-                if (met := self._met(k, sign, depths)) and met[0] < height:
-                    height, on = met[0], self._rows(np.array([met[1]]))[0]
+            above = np.concatenate([heights[0, upper], heights[1, lower]])
+            if above.min(initial=np.inf) < height:
+                at = int(above.argmin())
+                height, pair = float(above[at]), int(np.concatenate([upper, lower])[at])
+                on = self._rows(np.array([self._met(pair, depths, 1.0 if at < len(upper) else -1.0)]))[0]
             rows.append(-on[None])
             highest = max(highest, height if height > MET else 0.0)
         return np.concatenate(rows), highest
 
-    def _met(self, k: int, sign: float, depths: Array) -> tuple[float, int] | None:
-        """How far the one part of a pair can be lowered until it meets the other, and the facet in which it does."""
-        first = int(self.starts[k])
-        facets = slice(first, int(self.starts[k + 1]) if k + 1 < len(self.starts) else len(depths))
-        depth, speed = depths[facets], -sign * self.normals[facets, 2]
-        enters, leaves = speed > INSIDE, speed < -INSIDE
-        if not enters.any() or (depth[~enters & ~leaves] <= 0).any():
-            return None
-        ways = np.where(enters, -depth / np.where(enters, speed, 1.0), -np.inf)
-        at = int(ways.argmax())
-        until = float((-depth[leaves] / speed[leaves]).min(initial=np.inf))
-        return (float(ways[at]), first + at) if ways[at] < until and until > 0 else None
+    def _heights(self, depths: Array) -> tuple[NDArray[np.bool_], Array]:
+        """Which pairs of parts are free of each other, and (2, k) how far the first, or the second, can be lowered
+        until it meets the other; infinite where it never does."""
+        if not len(depths):
+            return np.zeros(0, bool), np.zeros((2, 0))
+        speed = -self.normals[:, 2]
+        steep = np.abs(speed) <= INSIDE
+        ways = -depths / np.where(steep, 1.0, speed)
+        enters = np.maximum.reduceat(np.where(~steep & (speed > 0), ways, -np.inf), self.starts)
+        leaves = np.minimum.reduceat(np.where(~steep & (speed < 0), ways, np.inf), self.starts)
+        meets = (enters < leaves) & ~np.logical_or.reduceat(steep & (depths <= 0), self.starts)
+        # Lowering the second is lifting the first.
+        lowered = np.where(meets & (leaves > 0), enters, np.inf), np.where(meets & (enters < 0), -leaves, np.inf)
+        return np.minimum.reduceat(depths, self.starts) <= INSIDE, np.stack(lowered)
+
+    def _met(self, pair: int, depths: Array, sign: float) -> int:
+        """The facet in which the first of a pair of parts meets the second when it is lowered, or lifted (-1)."""
+        facets = np.flatnonzero(self.pair == pair)
+        speed = -sign * self.normals[facets, 2]
+        enters = speed > INSIDE
+        ways = -depths[facets] / np.where(enters, speed, 1.0)
+        return int(facets[np.where(enters, ways, -np.inf).argmax()])

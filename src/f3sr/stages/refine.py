@@ -68,6 +68,16 @@ class Restarted(Protocol):
     ) -> SettledScene: ...
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Manner:
+    """How objects that move come into contact again."""
+
+    placed: Restarted
+    """From where the photo shows them."""
+    realigned: Retried
+    """From where they are aligned under contact."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Refined(Outcome):
     stage: ClassVar[str] = "refine"
@@ -86,14 +96,15 @@ def refine(
     aligned: Scene,
     parted: Scene,
     stood_up: Restarted,
-    replaced: Sequence[Restarted],
-    realigned: Retried,
+    one_by_one: Manner,
+    together: Manner,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
-    What is off its masks then is also placed again from where ``aligned`` has it, in each way of ``replaced`` until it
-    is not, and aligned from there. At last every object that is still off its mask is re-aligned alone.
+    What is off its masks then is also placed again from where ``aligned`` has it, and aligned from there: all
+    ``together``, and where that leaves it off, ``one_by_one``. At last every object that is still off its mask is
+    re-aligned alone.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -108,17 +119,20 @@ def refine(
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     came = state
-    state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
+    manner = one_by_one
+    state, told = _rounds(came, [o.id for o in came.scene], manner.realigned, config)
     decisions += told
     lost = sorted(_lost(state, seen, config.contact))
-    placed, told = _placed_again(came, lost, seen, replaced, config)
+    placed, other, told = _placed_again(came, lost, seen, (together, one_by_one), config)
     decisions += told
     if placed is not came:
-        placed, told = _rounds(placed, lost, realigned, config)
+        placed, told = _rounds(placed, lost, other.realigned, config)
         step = f"placed again and then re-aligned object {_named(lost)}"
+        was = state
         state, decision, _ = _better(state, placed, lost, step, config)
+        manner = manner if state is was else other
         decisions += [*told, decision]
-    state, told = _one_by_one(state, seen, realigned, config)
+    state, told = _one_by_one(state, seen, manner.realigned, config)
     decisions += told
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
@@ -161,19 +175,20 @@ def _one_by_one(
 
 
 def _placed_again(
-    state: SettledScene, ids: Sequence[int], seen: SettledScene, replaced: Sequence[Restarted], config: RefineConfig
-) -> tuple[SettledScene, list[Decision]]:
-    """Some objects where contact leads them from other starts near their masks: the best of all."""
-    decisions: list[Decision] = []
-    for k, settles in enumerate(replaced):
+    state: SettledScene, ids: Sequence[int], seen: SettledScene, manners: Sequence[Manner], config: RefineConfig
+) -> tuple[SettledScene, Manner, list[Decision]]:
+    """Some objects where contact leads them from other starts near their masks: the best of all, and its manner."""
+    best, decisions = manners[0], list[Decision]()
+    for k, manner in enumerate(manners):
         if not (ids := sorted(_lost(state, seen, config.contact).intersection(ids))):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
         start = _as_seen(state.scene, seen.scene, ids, attempt=k)
-        tried = settles(state.scene, ids, start=start, moving=frozenset(ids))
+        was, tried = state, manner.placed(state.scene, ids, start=start, moving=frozenset(ids))
         state, decision, _ = _better(state, tried, ids, step, config)
+        best = best if state is was else manner
         decisions.append(decision)
-    return state, decisions
+    return state, best, decisions
 
 
 def _lost(state: SettledScene, seen: SettledScene, contact: ContactMargin) -> frozenset[int]:

@@ -10,7 +10,7 @@ from f3sr.stages.separate.config import PICTURE_SIGMA, SeparateConfig
 from f3sr.stages.separate.overlaps import metric_of
 from f3sr.stages.separate.placement import Placement
 
-PASSES = 5
+PASSES = 3
 """Most joint moves: moves along viewing rays scale bodies, so contacts change by a hundredth of the move."""
 STILL = 2e-5
 """Move [m] from which on another pass changes nothing that counts."""
