@@ -25,6 +25,8 @@ INSIDE = 1e-6
 """Depth [m] up to which parts count as free of each other: rounding of the programmes."""
 MET = 5e-5
 """Height [m] above its support up to which a body counts as in contact."""
+BEARING = 0.35
+"""Least vertical share of a unit normal of a facet that bears a body: it slides down walls steeper than 70 degrees."""
 ROUNDS = 15
 """Most choices of facets; two to six suffice, others alternate between two corners."""
 PRICE = 1e7
@@ -120,7 +122,7 @@ class _Problem:
         counts = [len(h) for h in heights[1:]]
         self.normals, self.heights = np.concatenate(normals), np.concatenate(heights)
         """Of all facets: ``a`` moved by r against ``b`` is inside one where ``normal . r + height > 0``."""
-        self.matrices = np.array(matrices).reshape(-1, 3, self.size)
+        self.matrices = np.array(matrices).reshape(len(matrices), 3, self.size)
         """(k, 3, n): r of every pair of parts, from x."""
         self.starts = np.cumsum([0, *counts[:-1]]) if counts else np.zeros(0, int)
         self.pair = np.repeat(np.arange(len(counts)), counts)
@@ -194,40 +196,36 @@ class _Problem:
         """Rows (s, n + 1) that hold every body that stands down on what it would meet first, and the largest height of
         one above that [m]. What overlaps something leaves it first."""
         rows, highest = [np.zeros((0, self.size + 1))], 0.0
-        free, heights = self._heights(depths)
-        for id, (upper, lower) in self.lowered.items():
-            if not (free[upper].all() and free[lower].all()):
+        free = np.minimum.reduceat(depths, self.starts) <= INSIDE if len(depths) else np.zeros(0, bool)
+        heights, facets = self._met(depths)
+        for id, pairs in self.lowered.items():
+            if not (free[pairs[0]].all() and free[pairs[1]].all()):
                 continue
             on = self.ground[id]
             height = float(on[:-1] @ x - on[-1])
-            above = np.concatenate([heights[0, upper], heights[1, lower]])
-            if above.min(initial=np.inf) < height:
-                at = int(above.argmin())
-                height, pair = float(above[at]), int(np.concatenate([upper, lower])[at])
-                on = self._rows(np.array([self._met(pair, depths, 1.0 if at < len(upper) else -1.0)]))[0]
+            below = np.concatenate([heights[k, pairs[k]] for k in range(2)])
+            if below.min(initial=np.inf) < height:
+                at = int(below.argmin())
+                facet = np.concatenate([facets[k, pairs[k]] for k in range(2)])[[at]]
+                height, on = float(below[at]), self._rows(facet)[0]
             rows.append(-on[None])
             highest = max(highest, height if height > MET else 0.0)
         return np.concatenate(rows), highest
 
-    def _heights(self, depths: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Which pairs of parts are free of each other, and (2, k) how far the first, or the second, can be lowered
-        until it meets the other; infinite where it never does."""
+    def _met(self, depths: Array) -> tuple[Array, NDArray[np.int64]]:
+        """How far (2, k) the first of every pair of parts, or the second, can be lowered until it meets the other, and
+        the facet in which it does. Infinite where it never does, or meets a wall that bears nothing."""
         if not len(depths):
-            return np.zeros(0, bool), np.zeros((2, 0))
+            return np.zeros((2, 0)), np.zeros((2, 0), int)
         speed = -self.normals[:, 2]
-        steep = np.abs(speed) <= INSIDE
-        ways = -depths / np.where(steep, 1.0, speed)
-        enters = np.maximum.reduceat(np.where(~steep & (speed > 0), ways, -np.inf), self.starts)
-        leaves = np.minimum.reduceat(np.where(~steep & (speed < 0), ways, np.inf), self.starts)
-        meets = (enters < leaves) & ~np.logical_or.reduceat(steep & (depths <= 0), self.starts)
+        level = np.abs(speed) <= INSIDE
+        ways = -depths / np.where(level, 1.0, speed)
+        # The first enters the second by the last facet of these, and leaves it by the first of those.
+        enters = np.where(~level & (speed > 0), ways, -np.inf)
+        leaves = np.where(~level & (speed < 0), ways, np.inf)
+        facets = np.stack([self._least(-enters), self._least(leaves)])
+        start, end = enters[facets[0]], leaves[facets[1]]
+        meets = (start < end) & ~np.logical_or.reduceat(level & (depths <= 0), self.starts)
         # Lowering the second is lifting the first.
-        lowered = np.where(meets & (leaves > 0), enters, np.inf), np.where(meets & (enters < 0), -leaves, np.inf)
-        return np.minimum.reduceat(depths, self.starts) <= INSIDE, np.stack(lowered)
-
-    def _met(self, pair: int, depths: Array, sign: float) -> int:
-        """The facet in which the first of a pair of parts meets the second when it is lowered, or lifted (-1)."""
-        facets = np.flatnonzero(self.pair == pair)
-        speed = -sign * self.normals[facets, 2]
-        enters = speed > INSIDE
-        ways = -depths[facets] / np.where(enters, speed, 1.0)
-        return int(facets[np.where(enters, ways, -np.inf).argmax()])
+        below = meets & (end > 0) & (speed[facets[0]] >= BEARING), meets & (start < 0) & (speed[facets[1]] <= -BEARING)
+        return np.stack([np.where(below[0], start, np.inf), np.where(below[1], -end, np.inf)]), facets

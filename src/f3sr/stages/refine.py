@@ -31,6 +31,8 @@ GAIN = 5e-4
 LOST = 0.03
 """Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it; or an
 object, from which on it is re-aligned alone."""
+PATIENCE = 3
+"""Objects that are re-aligned alone in vain, one after the other, until the others are left."""
 HOPELESS = 0.02
 """Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
 whatever its measured depths gain."""
@@ -166,10 +168,13 @@ def _one_by_one(
     A contact group is kept or undone as a whole: of objects that are re-aligned together, one may spoil what the others
     gain."""
     off = {id: seen.ious[id] - iou for id, iou in state.ious.items() if seen.ious[id] - iou > LOST}
-    decisions = list[Decision]()
+    decisions, in_vain = list[Decision](), 0
     for id in sorted(off, key=lambda id: -off[id]):
-        step = f"re-alignment under contact of {id} alone"
+        if in_vain == PATIENCE:
+            break
+        step, was = f"re-alignment under contact of {id} alone", state
         state, decision, _ = _better(state, realigned(state.scene, [id]), [id], step, config)
+        in_vain = in_vain + 1 if state is was else 0
         decisions.append(decision)
     return state, decisions
 
