@@ -184,7 +184,7 @@ class _Problem:
         """
         outside = not _violated(obstacles, x)
         for _ in range(ROUNDS if obstacles else 0):
-            shorter = _least(np.concatenate([o.beyond(x) for o in obstacles]))
+            shorter = least_distance(np.concatenate([o.beyond(x) for o in obstacles]))
             if shorter is None or _violated(obstacles, shorter):
                 return x
             if outside and shorter @ shorter > x @ x * (1 - 1e-6):
@@ -215,7 +215,7 @@ class _Problem:
             for side in worst.rows(worst.polygons[k]):
                 solved += 1
                 chosen = np.concatenate([rows, side[None]])
-                if (found := _least(chosen)) is not None and (overlaps or found @ found < limit):
+                if (found := least_distance(chosen)) is not None and (overlaps or found @ found < limit):
                     heapq.heappush(waiting, (float(found @ found), next(order), found, chosen))
         return best, not waiting and not _worth(obstacles, best)[0]
 
@@ -259,7 +259,7 @@ def _independent(obstacles: Sequence[_Obstacle]) -> Iterator[list[_Obstacle]]:
         yield members
 
 
-def _least(rows: Array) -> Array | None:
+def least_distance(rows: Array) -> Array | None:
     """The shortest x with ``rows[:, :-1] @ x >= rows[:, -1]``, None when there is none."""
     from scipy.optimize import nnls
 

@@ -1,4 +1,4 @@
-"""Overlap between objects that do not carry one another, ended by one joint horizontal move."""
+"""Overlap between objects, ended by one joint move: horizontal where none carries the other, or in space."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact import joint_separation
+from f3sr.contact import crowds, joint_separation
 from f3sr.contact.compounds import collide, smallest_shift
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
@@ -20,6 +20,9 @@ ROUNDS = 16
 """Most rounds of horizontal parting; the report allows 32."""
 UNFELT = 0.1
 """IoU that a move by its own size costs an object, in directions that change no silhouette and no depth."""
+
+HELD_DOWN = 10.0
+"""By how many times more IoU a lift costs what stands on the ground than the picture says: the photo shows it there."""
 
 
 def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
@@ -78,6 +81,26 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
         if pairs <= set(found.unsolved):
             break
     return moved
+
+
+def part_in_space(layout: Placement, config: SeparateConfig) -> bool:
+    """End all overlap, also with what carries a body, by one joint move in space of little cost.
+
+    Returns whether anything moved. Bodies move one by one, without what they carry."""
+    if not layout.collisions():
+        return False
+    weights = {o.id: weight_in_space(layout, o.id) for o in layout.scene if o.mobility == "dynamic"}
+    found = crowds.spread(layout.bodies, weights, clearance=config.clearance)
+    for id, shift in found.shifts.items():
+        layout.shift_in_view(id, shift)
+    return found.cost > 0
+
+
+def weight_in_space(layout: Placement, id: int) -> Array:
+    """Metric (3, 3) [1/m2] of a move of a body in space, as squared IoU: ``weight_of`` in all directions."""
+    o, picture = layout.scene[id], layout.picture(id)
+    held = HELD_DOWN**2 * picture[2, 2] if o.supported_by == GROUND else 0.0
+    return picture + layout.depth_loss(id) + held * np.outer(UP, UP) + np.eye(3) * (UNFELT / o.size) ** 2
 
 
 def weight_of(layout: Placement, *ids: int) -> Array:

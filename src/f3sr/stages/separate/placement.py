@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -44,6 +45,11 @@ class Placement:
         state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing)
         return tuple(dict(d) for d in state)
 
+    def saved_with(self, other: Saved, ids: Collection[int]) -> Saved:
+        """The whole state, with some bodies as in another one."""
+        return tuple({k: theirs[k] if k in ids else v for k, v in mine.items()} for mine, theirs in
+                     zip(self.saved(), other, strict=True))  # fmt: skip
+
     def restore(self, saved: Saved) -> None:
         self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing = map(dict, saved)
 
@@ -69,6 +75,15 @@ class Placement:
         """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
         self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
 
+    def shift_in_view(self, id: int, d: Array) -> None:
+        """Move a body by d (3,) [m]. What of it is along the viewing ray also scales the body, so it looks the same.
+
+        What stands on the ground keeps its size, and so its height."""
+        ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
+        away = 0.0 if self.scene[id].supported_by == GROUND else float(d @ ray) / float(ray @ ray)
+        self.along_rays((id,), 1 + away)
+        self.move((id,), d - away * ray)
+
     def object(self, id: int) -> SceneObject:
         """The scene's object in the present pose of its body, with its parts and footing."""
         o, t, k, R = self.scene[id], self.shift[id], self.scale[id], self.rotation[id]
@@ -89,6 +104,11 @@ class Placement:
         """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
         self.parts[id], self.footings[id] = parts, wedges
         self.bodies[id] = placed((*parts, *wedges), self.object(id).T_world_asset)
+
+    def others(self, id: int) -> Compound:
+        """Every body that a body does not carry, without itself."""
+        own = set(self.scene.subtree(id))
+        return Compound.of(body for k, body in self.bodies.items() if k not in own)
 
     def rays_left(self, id: int, limit: float) -> tuple[float, float]:
         """Least and largest scale k that keep a body within ``limit`` of its first distance [share of it]."""
