@@ -19,8 +19,8 @@ from f3sr.stages.separate.support_contact import seat
 PASSES = 3
 """Maximum number of passes. A pass brings objects onto supports, then ends overlap, which may lift them off again."""
 LOST = 0.03
-"""Mean visible IoU, less errors of measured depth, that a group loses by lifts and horizontal moves, from which on moves
-in space are tried too."""
+"""Mean score that a group loses by lifts and horizontal moves, from which on moves in space are tried too: visible IoU,
+less errors of measured depth."""
 
 
 def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decision]:
