@@ -12,7 +12,7 @@ from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
-from f3sr.stages.refine import Manner, RefineConfig, Restarted, Retried, Retry, refine
+from f3sr.stages.refine import RETURNS, RefineConfig, Retry, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
@@ -27,11 +27,6 @@ def seen() -> Scene:
     return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
 
 
-def manners(placed: Restarted, realigned: Retried) -> dict[str, Manner]:
-    one = Manner(placed=placed, realigned=realigned)
-    return {"one_by_one": one, "together": one}
-
-
 def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
     moved = [scene[id].moved(pose(t=[x, 0, 0]), stage="test", reason="") for id, x in shifts.items()]
     return scene.with_objects(*moved)
@@ -42,7 +37,9 @@ def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), befor
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    return refine(start, ONCE, aligned=start, parted=start, stood_up=again, **manners(again, again), restless=before)[0]
+    return refine(
+        start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again, restless=before
+    )[0]
 
 
 def test_the_one_that_gains_is_kept_and_the_one_that_loses_undone(seen: Scene):
@@ -84,7 +81,7 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = refine(start, ONCE, aligned=start, parted=start, stood_up=again, **manners(again, again))
+    after, outcome = refine(start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again)
     assert calls == [[0, 1], [0]]
     assert [d.choice.rsplit(": ")[-1] for d in outcome.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
@@ -102,7 +99,7 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
         asked.append((start, ids, moving))
         return SettledScene(scene=start, restless=frozenset())
 
-    refine(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, **manners(stood_up, stood_up))
+    refine(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=stood_up)
     [(scene, ids, moving)] = asked
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
 
@@ -133,9 +130,9 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
         return SettledScene(scene=scene, restless=frozenset())
 
     after, _ = refine(
-        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, **manners(replaced, realigned)
+        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
-    assert len(asked) == (helps or 2)
+    assert len(asked) == (helps or RETURNS)
     assert np.array_equal(after[0].T_world_object, (touching if helps else start)[0].T_world_object)
     eye = touching.camera.center
     for k, scene in enumerate(asked):
@@ -158,7 +155,7 @@ def test_what_fell_away_is_placed_again_with_its_group(touching: Scene):
         return SettledScene(scene=scene, restless=frozenset())
 
     after, _ = refine(
-        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, **manners(replaced, realigned)
+        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
     assert asked == [[0, 1]]
     assert np.array_equal(after[1].T_world_object, touching[1].T_world_object)
@@ -174,42 +171,14 @@ def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_f
         tried = touching if len(ids) == 1 else shifted(touching, {0: 0.0, 1: 0.2})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = refine(start, NO_ROUND, aligned=touching, parted=start, stood_up=again, **manners(again, again))
+    after, outcome = refine(
+        start, NO_ROUND, aligned=touching, parted=start, stood_up=again, replaced=again, realigned=again
+    )
     assert calls[-2:] == [[0], [1]] and [0, 1] in calls
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
     assert [d.choice for d in outcome.decisions[-2:]] == [
         f"re-alignment under contact of {id} alone: accepted" for id in (0, 1)
     ]
-
-
-def test_what_is_placed_again_together_is_re_aligned_together(touching: Scene):
-    """In the place that the better manner found, the other manner is not used any more."""
-    start, better = (shifted(touching, {0: x, 1: x}) for x in (0.08, 0.05))
-    asked: list[str] = []
-
-    def placed(_: Scene, __: Collection[int], **_others: object) -> SettledScene:
-        return SettledScene(scene=better, restless=frozenset())
-
-    def nothing(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
-        return SettledScene(scene=scene, restless=frozenset())
-
-    def realigned(manner: str) -> Retried:
-        def again(scene: Scene, _: Collection[int]) -> SettledScene:
-            asked.append(manner)
-            return SettledScene(scene=scene, restless=frozenset())
-
-        return again
-
-    refine(
-        start,
-        ONCE,
-        aligned=touching,
-        parted=start,
-        stood_up=nothing,
-        one_by_one=Manner(placed=nothing, realigned=realigned("one by one")),
-        together=Manner(placed=placed, realigned=realigned("together")),
-    )
-    assert asked[0] == "one by one" and set(asked[1:]) == {"together"} and len(asked) == 4
 
 
 @pytest.mark.parametrize("leads", ["from where it rests", "from where it is placed again"])
@@ -226,7 +195,7 @@ def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touchin
         return SettledScene(scene=touching if is_far == far else scene, restless=frozenset())
 
     after, outcome = refine(
-        start, ONCE, aligned=touching, parted=start, stood_up=replaced, **manners(replaced, realigned)
+        start, ONCE, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
     assert any("placed again" in d.choice for d in outcome.decisions) != far
@@ -242,7 +211,7 @@ def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: 
 
     for aligned, x in ((seen, 0.03), (touching, 0.0005)):
         start = shifted(aligned, {0: x, 1: x})
-        refine(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, **manners(never, realigned))
+        refine(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=realigned)
 
 
 def test_a_round_without_gain_is_the_last(seen: Scene):
@@ -252,7 +221,9 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 
-    scene, outcome = refine(seen, RefineConfig(), aligned=seen, parted=seen, stood_up=again, **manners(again, again))
+    scene, outcome = refine(
+        seen, RefineConfig(), aligned=seen, parted=seen, stood_up=again, replaced=again, realigned=again
+    )
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
 
@@ -324,3 +295,34 @@ def test_a_group_that_lost_much_is_put_back_before_its_gaps_are_closed(seen: Sce
     back = retry.without_losers(lost, ONCE.contact)
     assert not back.moving
     assert np.array_equal(back.scene[0].T_world_object, start[0].T_world_object)
+
+
+def test_after_three_that_gained_nothing_alone_the_others_are_left():
+    scene = scene_of(*(box(k, at=(0.25 * k - 0.5, 0, 0.05)) for k in range(5)))
+    ids = rasterizer.render(scene.objects, scene.camera).ids
+    scene = scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
+    start = shifted(scene, {k: 0.02 + 0.004 * k for k in range(5)})
+    alone: list[int] = []
+
+    def realigned(now: Scene, ids: Collection[int]) -> SettledScene:
+        alone.extend(ids)
+        helped = [scene[id] for id in ids if id == 3]  # only the second of them gains
+        return SettledScene(scene=now.with_objects(*helped), restless=frozenset())
+
+    def never(*_: object, **_others: object) -> SettledScene:
+        raise AssertionError
+
+    refine(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
+    assert alone == [4, 3, 2, 1, 0], "a gain in between begins the count anew"
+    alone.clear()
+    hopeless = scene.with_objects(*(replace(o, mask=scene[o.id].mask) for o in start))
+    refine(
+        hopeless,
+        NO_ROUND,
+        aligned=scene,
+        parted=start,
+        stood_up=never,
+        replaced=never,
+        realigned=lambda now, ids: (alone.extend(ids), SettledScene(scene=now, restless=frozenset()))[1],
+    )
+    assert alone == [4, 3, 2]

@@ -35,7 +35,7 @@ from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import UPRIGHT, Manner, RefineConfig, Refined, Restarted, Retry, refine
+from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
 from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
@@ -165,9 +165,9 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
+        replaced=partial(again, aligning=replace(config.align, camera=False, objects=False)),
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
-        one_by_one=_manner(again, config.align),
-        together=_manner(partial(again, together=True), config.align),
+        realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
     )
     scene, _ = run.stage(
@@ -265,19 +265,18 @@ def _made_again(
     config: Config,
     closes: bool,
     gives_up: bool = True,
-    together: bool = False,
 ) -> SettledScene:
     """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
     groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
-    closed, but put back. ``together``: they come into contact by one joint move."""
+    closed, but put back."""
     contact = config.refine.contact
     aligned, _ = align(start or scene, aligning, only=ids)
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
-    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False, together=together)
+    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
     rested = _rested(parted, config.settle)
     retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene
@@ -285,13 +284,6 @@ def _made_again(
         at_rest = partial(_rested, config=config.settle)
         scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
     return retry.ended(replace(rested, scene=scene), contact)
-
-
-def _manner(again: Callable[..., SettledScene], aligning: AlignConfig) -> Manner:
-    as_they_are = replace(aligning, camera=False, objects=False)
-    return Manner(
-        placed=partial(again, aligning=as_they_are), realigned=partial(again, aligning=aligning.under_contact())
-    )
 
 
 def settling(config: Config) -> Restarted:

@@ -26,10 +26,3 @@ def shortest(rows: Array) -> Array | None:
     if abs(left[-1]) < 1e-10:
         return None
     return -left[:-1] / left[-1] * unit
-
-
-def nearly(rows: Array, price: float) -> Array:
-    """The x (n,) with the least ``|x|^2 + price |s|^2``, where ``rows[:, :-1] @ x + s >= rows[:, -1]``."""
-    found = shortest(np.hstack([rows[:, :-1], np.eye(len(rows)) / np.sqrt(price), rows[:, -1:]]))
-    assert found is not None, "slack satisfies any rows"
-    return found[: rows.shape[1] - 1]

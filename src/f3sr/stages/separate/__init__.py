@@ -11,17 +11,14 @@ import numpy as np
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.joint_placing import place_together
-from f3sr.stages.separate.overlaps import part, take_beside
+from f3sr.stages.separate.overlaps import take_beside
 from f3sr.stages.separate.placement import Placement
 from f3sr.stages.separate.stability_shifts import steady
 from f3sr.stages.separate.standing import stand
-from f3sr.stages.separate.support_contact import grounded, seat
+from f3sr.stages.separate.support_contact import grounded
+from f3sr.stages.separate.ways import bring_into_contact
 
 __all__ = ["SeparateConfig", "Separated", "separate"]
-
-PASSES = 3
-"""Maximum number of passes. A pass brings objects onto supports, then ends overlap, which may lift them off again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +50,7 @@ class Separated(Outcome):
 
 
 def separate(
-    scene: Scene,
-    config: SeparateConfig | None = None,
-    *,
-    ground: bool = True,
-    margin: bool = True,
-    together: bool = False,
+    scene: Scene, config: SeparateConfig | None = None, *, ground: bool = True, margin: bool = True
 ) -> tuple[Scene, Separated]:
     """Bring each object into contact with its support and end all overlap (equations 10 and 11).
 
@@ -67,11 +59,11 @@ def separate(
        moves with it. Motion along viewing rays scales the object about the camera centre, so its silhouette stays.
        The share of each motion is the most likely one by the errors of distances and of places in the picture.
     3. Unrelated objects that overlap move apart by one joint horizontal move. Steps 2 and 3 repeat.
-    4. A nearly flat underside gets a footing: thin convex wedges that keep the object in its pose. An object without
+    4. Groups that lost much of their masks thereby start again: they come down onto whatever is below, and all overlap
+       ends by moves in space. The way that keeps more of the masks is taken.
+    5. A nearly flat underside gets a footing: thin convex wedges that keep the object in its pose. An object without
        footing is tipped until its weight lies between its contacts.
-    5. Objects that would still fall by statics are shifted horizontally.
-
-    With ``together`` steps 2 and 3 are one joint move, before and after step 4 (docs: contact).
+    6. Objects that would still fall by statics are shifted horizontally.
 
     A Decision names every object that still overlaps or falls. With ``ground`` false step 1 is left out. With
     ``margin`` false the stability margin of stable scenes is not measured: it takes ten times as long as the test.
@@ -84,11 +76,8 @@ def separate(
     layout = Placement(scene)
     before = len(layout.collisions())
     decisions = take_beside(layout, config)
-    bring = place_together if together else _bring_one_by_one
-    bring(layout, config)
+    decisions += bring_into_contact(layout, config)
     decisions += stand(layout, config)
-    if together:
-        place_together(layout, config)
     margins, told = steady(layout, config, margin=margin)
     decisions += told
     left = layout.collisions()
@@ -104,13 +93,3 @@ def separate(
         scale={o.id: layout.scale[o.id] for o in scene},
         decisions=tuple(decisions),
     )
-
-
-def _bring_one_by_one(layout: Placement, config: SeparateConfig) -> None:
-    """Objects come onto their supports one after the other, then overlap ends, until neither moves anything."""
-    for _ in range(PASSES):
-        seat(layout, config)
-        if not part(layout, config):
-            break
-    else:
-        seat(layout, config)

@@ -1,4 +1,4 @@
-"""Overlap between objects that do not carry one another, ended by one joint horizontal move."""
+"""Overlap between objects, ended by one joint move: horizontal where none carries the other, or in space."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact import joint_separation
+from f3sr.contact import crowds, joint_separation
 from f3sr.contact.compounds import collide, smallest_shift
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
@@ -20,6 +20,9 @@ ROUNDS = 16
 """Most rounds of horizontal parting; the report allows 32."""
 UNFELT = 0.1
 """IoU that a move by its own size costs an object, in directions that change no silhouette and no depth."""
+
+HELD_DOWN = 10.0
+"""By how many times more IoU a lift costs what stands on the ground than the picture says: the photo shows it there."""
 
 
 def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
@@ -80,14 +83,33 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
     return moved
 
 
+def part_in_space(layout: Placement, config: SeparateConfig) -> bool:
+    """End all overlap, also with what carries a body, by one joint move in space of little cost.
+
+    Returns whether anything moved. Bodies move one by one, without what they carry."""
+    if not layout.collisions():
+        return False
+    weights = {o.id: weight_in_space(layout, o.id) for o in layout.scene if o.mobility == "dynamic"}
+    found = crowds.spread(layout.bodies, weights, clearance=config.clearance)
+    for id, shift in found.shifts.items():
+        layout.shift_in_view(id, shift)
+    return found.cost > 0
+
+
+def weight_in_space(layout: Placement, id: int) -> Array:
+    """Metric (3, 3) [1/m2] of a move of a body in space: what stands on the ground is held down."""
+    held = HELD_DOWN**2 * layout.picture(id)[2, 2] if layout.scene[id].supported_by == GROUND else 0.0
+    return _metric(layout, id) + held * np.outer(UP, UP)
+
+
 def weight_of(layout: Placement, *ids: int) -> Array:
-    """Metric (2, 2) [1/m2] of a horizontal move of bodies together, as squared IoU: IoU that they lose, error of
-    depth in that unit, and a small regulariser by size."""
-    return metric_of(layout, *ids)[:2, :2]
+    """Metric (2, 2) [1/m2] of a horizontal move of bodies together."""
+    return _metric(layout, *ids)[:2, :2]
 
 
-def metric_of(layout: Placement, *ids: int) -> Array:
-    """``weight_of`` for moves in space, (3, 3)."""
+def _metric(layout: Placement, *ids: int) -> Array:
+    """Metric (3, 3) [1/m2] of a move of bodies together, as squared IoU: IoU that they lose, error of depth in that
+    unit, and a small regulariser by size."""
     felt = sum((layout.picture(k) + layout.depth_loss(k) for k in ids), np.zeros((3, 3)))
     return felt + np.eye(3) * (UNFELT / layout.scene[ids[0]].size) ** 2
 

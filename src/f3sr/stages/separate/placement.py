@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
@@ -46,6 +46,11 @@ class Placement:
         state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing)
         return tuple(dict(d) for d in state)
 
+    def saved_with(self, other: Saved, ids: Collection[int]) -> Saved:
+        """The whole state, with some bodies as in another one."""
+        both = zip(self.saved(), other, strict=True)
+        return tuple({k: theirs[k] if k in ids else v for k, v in mine.items()} for mine, theirs in both)
+
     def restore(self, saved: Saved) -> None:
         self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing = map(dict, saved)
 
@@ -71,6 +76,15 @@ class Placement:
         """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
         self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
 
+    def shift_in_view(self, id: int, d: Array) -> None:
+        """Move a body by d (3,) [m]. What of it is along the viewing ray also scales the body, so it looks the same.
+
+        What stands on the ground keeps its size, and so its height."""
+        ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
+        away = 0.0 if self.scene[id].supported_by == GROUND else float(d @ ray) / float(ray @ ray)
+        self.along_rays((id,), 1 + away)
+        self.move((id,), d - away * ray)
+
     def object(self, id: int) -> SceneObject:
         """The scene's object in the present pose of its body, with its parts and footing."""
         o, t, k, R = self.scene[id], self.shift[id], self.scale[id], self.rotation[id]
@@ -91,6 +105,11 @@ class Placement:
         """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
         self.parts[id], self.footings[id] = parts, wedges
         self.bodies[id] = placed((*parts, *wedges), self.object(id).T_world_asset)
+
+    def others(self, id: int) -> Compound:
+        """Every body that a body does not carry, without itself."""
+        own = set(self.scene.subtree(id))
+        return Compound.of(body for k, body in self.bodies.items() if k not in own)
 
     def rays_left(self, id: int, limit: float) -> tuple[float, float]:
         """Least and largest scale k that keep a body within ``limit`` of its first distance [share of it]."""

@@ -17,7 +17,7 @@ from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.placement import Placement, Saved
-from f3sr.stages.separate.support_contact import gap
+from f3sr.stages.separate.support_contact import gap, room_below
 
 STILL = 1e-3
 """Least turn [rad] of an object that is tipped."""
@@ -36,7 +36,7 @@ def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
         o = layout.object(id)
         if o.mobility == "fixed" or o.supported_by is None:
             continue
-        decision = _put_on_a_footing(layout, o, config)
+        decision = None if _is_held_above(layout, id, config) else _put_on_a_footing(layout, o, config)
         if decision is None and layout.missing[id]:
             _lower_without_footing(layout, id, config)
             decision = _put_on_a_footing(layout, layout.object(id), config)
@@ -44,6 +44,12 @@ def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
         if decision:
             decisions.append(decision)
     return decisions
+
+
+def _is_held_above(layout: Placement, id: int, config: SeparateConfig) -> bool:
+    """Whether a body is over its support because something else is in its way: it does not stand there."""
+    body, above = layout.bodies[id], gap(layout.bodies[id], id, layout, config) - layout.missing[id]
+    return above > config.clearance and room_below(body, id, layout, config) < above - config.clearance
 
 
 def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -> None:

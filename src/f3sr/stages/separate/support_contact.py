@@ -29,36 +29,43 @@ DIRECTIONS = 8
 RAY_STEPS = 10
 """Samples to either side along the viewing rays before the best one is refined."""
 
+Height = Callable[[Compound, int, Placement, SeparateConfig], float]
+"""The height [m] of a body, of an id, above what is to carry it."""
 
-def seat(layout: Placement, config: SeparateConfig) -> None:
+
+def seat(layout: Placement, config: SeparateConfig, *, lifts: bool = True) -> None:
     """Bring each object with its subtree into contact with its support, supports first.
 
-    Its mesh meets the support, or lacks some of its underside where a sensor's depth and the picture show that."""
+    Its mesh meets the support, or lacks some of its underside where a sensor's depth and the picture show that. Without
+    ``lifts`` it comes down onto whatever is below it, and what overlaps anything or is fixed keeps its height."""
+    height = gap if lifts else room_below
     for id in layout.scene.supports_first:
         if layout.scene[id].supported_by is None:
             layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
             continue
-        underside = _short_underside(layout, id, config)
-        k, unlikely = _contact_scale(layout, id, config, underside)
-        if config.max_ray_scale and unlikely > SURPRISE**2 and layout.carriers(id):
+        if not lifts and layout.scene[id].mobility == "fixed":
+            continue
+        underside = _short_underside(layout, id, config, height)
+        k, unlikely = _contact_scale(layout, id, config, underside, height)
+        if lifts and config.max_ray_scale and unlikely > SURPRISE**2 and layout.carriers(id):
             aside, less_so = _aside(layout, id, config)
             if less_so < unlikely:
                 layout.move(layout.scene.subtree(id), np.append(aside, 0.0))
-                k, _ = _contact_scale(layout, id, config, underside)
-        _lower(layout, id, config, k, underside)
+                k, _ = _contact_scale(layout, id, config, underside, height)
+        _lower(layout, id, config, k, underside, height)
 
 
-def _lower(layout: Placement, id: int, config: SeparateConfig, k: float, underside: float) -> None:
+def _lower(layout: Placement, id: int, config: SeparateConfig, k: float, underside: float, height: Height) -> None:
     """Move a body with its subtree along its viewing rays by ``k`` and then onto its support.
 
     Of the height at which it hangs, it goes down by what is no lack of an ``underside`` of that variance [m2]."""
     layout.along_rays(layout.scene.subtree(id), k)
-    above = gap(layout.bodies[id], id, layout, config)
+    above = height(layout.bodies[id], id, layout, config)
     layout.missing[id] = max(0.0, above) * underside / (underside + _position_variance(layout, id))
     layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
 
 
-def _short_underside(layout: Placement, id: int, config: SeparateConfig) -> float:
+def _short_underside(layout: Placement, id: int, config: SeparateConfig, height: Height) -> float:
     """Variance [m2] of the hidden underside of a body that shows to be short; 0 where it may well meet its support.
 
     Only a sensor knows distances better than undersides are known. The underside is short where the picture speaks for
@@ -67,7 +74,8 @@ def _short_underside(layout: Placement, id: int, config: SeparateConfig) -> floa
         return 0.0
     members, start = layout.scene.subtree(id), layout.saved()
     variance = (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2
-    _lower(layout, id, config, _contact_scale(layout, id, config, variance)[0], variance)
+    k, _ = _contact_scale(layout, id, config, variance, height)
+    _lower(layout, id, config, k, variance, height)
     missing, hanging = layout.missing[id], visible_ious(layout.moved_scene())
     layout.move(members, -missing * UP)
     lowered = visible_ious(layout.moved_scene())
@@ -126,6 +134,16 @@ def gap(body: Compound, id: int, layout: Placement, config: SeparateConfig) -> f
     return min(free_travel(body, carriers, -UP) - config.clearance, lowest)
 
 
+def room_below(body: Compound, id: int, layout: Placement, config: SeparateConfig) -> float:
+    """Height of a body above whatever is below it and does not rest on it [m]; 0 where it overlaps that.
+
+    Alone on the ground it may be negative, as ``gap``."""
+    lowest = body.lowest - config.clearance
+    if not layout.carriers(id):
+        return lowest
+    return max(0.0, min(free_travel(body, layout.others(id), -UP) - config.clearance, lowest))
+
+
 def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     """The scene with the ground at the median height of the lowest points of objects on it.
 
@@ -143,7 +161,9 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
 
 
-def _contact_scale(layout: Placement, id: int, config: SeparateConfig, underside: float) -> tuple[float, float]:
+def _contact_scale(
+    layout: Placement, id: int, config: SeparateConfig, underside: float, height: Height
+) -> tuple[float, float]:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support, and how
     unlikely both are, as the square of standard deviations.
 
@@ -156,13 +176,13 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig, underside
     on_the_ground = layout.scene[id].supported_by == GROUND
     slide = 0.0 if on_the_ground else layout.distance(id) / (SLIDE_SIGMA * layout.scene[id].size)
 
-    def height(k: float) -> float:
+    def height_at(k: float) -> float:
         if on_the_ground:
             return float(C[2]) + k * (layout.lowest(id) - float(C[2])) - config.clearance
-        return gap(body.moved(pose(k * np.eye(3), (1 - k) * C)), id, layout, config)
+        return height(body.moved(pose(k * np.eye(3), (1 - k) * C)), id, layout, config)
 
     def cost(k: float) -> float:
-        above = height(k)
+        above = height_at(k)
         variance = position + (underside if above > 0 else 0.0)
         return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + above**2 / variance
 
