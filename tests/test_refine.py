@@ -116,7 +116,8 @@ def touching() -> Scene:
 def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets_them(
     touching: Scene, helps: int | None
 ):
-    start = shifted(touching, {0: 0.03, 1: 0.03})
+    """Once more only where the first place is a better one."""
+    start, halved = (shifted(touching, {0: x, 1: x}) for x in (0.06, 0.03))
     asked: list[Scene] = []
 
     def replaced(
@@ -124,7 +125,8 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
     ) -> SettledScene:
         assert set(ids) == set(moving) == {0, 1}
         asked.append(start)
-        return SettledScene(scene=touching if len(asked) == helps else before, restless=frozenset())
+        found = touching if len(asked) == helps else halved if helps else before
+        return SettledScene(scene=found, restless=frozenset())
 
     def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
@@ -132,7 +134,7 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
     after, _ = refine(
         start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
-    assert len(asked) == (helps or RETURNS)
+    assert len(asked) == (helps or 1) <= RETURNS
     assert np.array_equal(after[0].T_world_object, (touching if helps else start)[0].T_world_object)
     eye = touching.camera.center
     for k, scene in enumerate(asked):
