@@ -17,7 +17,7 @@ from f3sr.core.transforms import Array, pose
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import proxy_distances, visible_ious
 from f3sr.physics.mujoco_model import body_of
-from f3sr.proxies import Join, ProxyConfig
+from f3sr.proxies import Join, ProxyConfig, few_parts
 from f3sr.proxies.collapse import UNBOUNDED, collapsed
 from f3sr.proxies.few_parts import NEARER, THIN_M, PartLimits, with_few_parts
 from f3sr.proxies.hulls import planes
@@ -241,6 +241,15 @@ def test_joins_are_refused_while_parts_stand_off_farther_than_asked():
     assert proxy_distances(fewer(scene, FREE))[1] > 0.01 > proxy_distances(few)[1]
     assert len(few.parts) == len(o.parts)
     assert len(fewer(scene, FREE, replace(LIMITS, stand_off=0.01, parts=1)).parts) == 1
+
+
+def test_where_no_refusal_leads_near_enough_the_nearest_parts_are_taken(monkeypatch: pytest.MonkeyPatch):
+    """One hull is first, what is left without it stands off more; before both, the parts stand off nothing."""
+    means = iter([0.02, 0.0, 0.05])
+    monkeypatch.setattr(few_parts, "REFUSALS", 1)
+    monkeypatch.setattr(few_parts._Fewer, "_stand_off", lambda _, parts: [np.full(1, next(means))] * len(parts))
+    assert len(fewer(scene_of(trough()), FREE, replace(LIMITS, stand_off=0.01)).parts) == 1
+    assert next(means, None) is None
 
 
 @pytest.mark.parametrize(("lower", "left"), [(0.5, 1), (2.5, 2)])

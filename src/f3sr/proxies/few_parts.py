@@ -61,6 +61,10 @@ SAMPLES = 1200
 """Points on all of an object's parts together by which their stand-off is measured."""
 
 
+Parts = tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]
+"""An object's parts and its footing."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PartLimits:
     """How few parts an object may have, and how near they may come to other bodies."""
@@ -154,33 +158,34 @@ class _Fewer:
         self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
         self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)
 
-    def few(
-        self, made: Sequence[ConvexPart], joins: Sequence[Join]
-    ) -> tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]:
+    def few(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> Parts:
         """Parts and what is left of the footing.
 
-        Joins are refused where parts stand off farthest, until their mean is as asked, or that of before."""
-        tree = _Tree(_pieces(self._o.parts, made), joins)
+        Joins are refused where parts stand off farthest, until their mean is as asked, or that of before. Where no
+        refusal leads there, the nearest parts are taken."""
+        tree, far = _Tree(_pieces(self._o.parts, made), joins), list[tuple[float, Parts]]()
         while True:
             parts, footing = self._on_footing(self._joined_by(tree))
             found = [(part, few) for part in (*parts, *footing) for few in self._delivered(part)]
-            farthest = self._farthest(found) if len(self._refused) < REFUSALS else None
+            few = [tuple(few for part, few in found if part in some) for some in (parts, footing)]
+            farthest, mean = self._farthest(found)
             if farthest is None:
-                few = [tuple(few for part, few in found if part in some) for some in (parts, footing)]
                 return few[0], few[1]
+            far.append((mean, (few[0], few[1])))
+            if len(far) > REFUSALS:
+                return min(far, key=lambda tried: tried[0])[1]
             self._refused.add(self._joined[farthest])
 
-    def _farthest(self, found: Sequence[tuple[ConvexPart, ConvexPart]]) -> ConvexPart | None:
-        """Of parts, each with what is delivered of it, the joined one that stands off most; None where that may be."""
+    def _farthest(self, found: Sequence[tuple[ConvexPart, ConvexPart]]) -> tuple[ConvexPart | None, float]:
+        """Of parts, each with what is delivered of it, the joined one that stands off most, None where that may be; and
+        their mean stand-off [size]."""
         if len(found) >= self._limits.parts or not any(part in self._joined for part, _ in found):
-            return None
+            return None, 0.0
         off = self._stand_off([few for _, few in found])
+        mean = float(np.concatenate(off).mean())
         joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
-        return found[max(joined)[1]][0] if self._is_far(off) else None
-
-    def _is_far(self, off: Sequence[Array]) -> bool:
-        mean = np.concatenate(off).mean()
-        return bool(mean > self._limits.stand_off and mean > self._off_before)
+        is_far = mean > self._limits.stand_off and mean > self._off_before
+        return found[max(joined)[1]][0] if is_far else None, mean
 
     @cached_property
     def _off_before(self) -> float:
