@@ -306,24 +306,20 @@ def test_after_three_that_gained_nothing_alone_the_others_are_left():
     start = shifted(scene, {k: 0.02 + 0.004 * k for k in range(5)})
     alone: list[int] = []
 
-    def realigned(now: Scene, ids: Collection[int]) -> SettledScene:
-        alone.extend(ids)
-        helped = [scene[id] for id in ids if len(alone) == 2]
-        return SettledScene(scene=now.with_objects(*helped), restless=frozenset())
+    def tried(helped: int | None) -> list[int]:
+        """The objects that are re-aligned alone where only the ``helped``-th of them gains."""
+        alone.clear()
+
+        def realigned(now: Scene, ids: Collection[int]) -> SettledScene:
+            alone.extend(ids)
+            found = [scene[id] for id in ids if len(alone) == helped]
+            return SettledScene(scene=now.with_objects(*found), restless=frozenset())
+
+        refine(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
+        return alone
 
     def never(*_: object, **_others: object) -> SettledScene:
         raise AssertionError
 
-    refine(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
-    assert len(alone) == 5, "the second one gains, so the count begins anew"
-    alone.clear()
-    refine(
-        start,
-        NO_ROUND,
-        aligned=scene,
-        parted=start,
-        stood_up=never,
-        replaced=never,
-        realigned=lambda now, ids: (alone.extend(ids), SettledScene(scene=now, restless=frozenset()))[1],
-    )
-    assert len(alone) == 3
+    assert len(tried(helped=2)) == 5, "the second one gains, so the count begins anew"
+    assert len(tried(helped=None)) == 3

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact.stable_facets import stable_normals
-from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, cross, transform
+from f3sr.core.mesh import ConvexPart, area_vectors
+from f3sr.core.transforms import Array, transform
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
@@ -201,9 +201,8 @@ def _facet_below(body: StandingBody, plane: SupportPlane, config: FootingConfig)
     if len(stable) and (stable @ plane.normal).max() >= near:
         normal = stable[int(np.argmax(stable @ plane.normal))]
     else:
-        a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-        # Inward normals as long as twice the area: those of facets that face down point up.
-        areas = -cross(b - a, c - a)
+        # Inward normals: those of facets that face down point up.
+        areas = -area_vectors(hull.vertices[hull.faces])
         lengths = np.linalg.norm(areas, axis=1)
         normal = areas[areas @ plane.normal >= near * lengths].sum(0)
         if not normal.any():

@@ -280,8 +280,7 @@ class Flaws:
 def surface_flaws(mesh: Mesh) -> Flaws:
     """Count the flaws of the welded surface of a mesh. A solid may only have triangles of no area."""
     vertices, faces = mesh.welded
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    degenerate = len(mesh.faces) - int(cross(b - a, c - a).any(1).sum())
+    degenerate = len(mesh.faces) - int(area_vectors(vertices[faces]).any(1).sum())
     if mesh.is_solid:
         return Flaws(degenerate=degenerate, doubled=0, open=0, shared=0, turned=0, layers=False)
     n = len(vertices)

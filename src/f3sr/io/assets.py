@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from f3sr.backends.protocols import GeneratedAsset
-from f3sr.core.mesh import Mesh, surface_flaws
+from f3sr.core.mesh import Mesh, area_vectors, surface_flaws
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError
 from f3sr.io import sam3d
@@ -151,8 +151,8 @@ def require_solidity(path: Path | str, mesh: Mesh) -> None:
         _ = mesh.hull if _is_thin(mesh) else None
     except ValueError as error:
         raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    folds = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2) / mesh.diagonal**2
+    areas = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1)
+    folds = float(areas.sum() / 2) / mesh.diagonal**2
     if not folds:
         raise InputError(path, found="no triangle that has an area", accepted=accepted)
     if folds > MAX_FOLDS:

@@ -61,7 +61,7 @@ SAMPLES = 1200
 """Points on all of an object's parts together by which their stand-off is measured."""
 
 
-Parts = tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]
+PartsAndFooting = tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]
 """An object's parts and its footing."""
 
 
@@ -158,12 +158,12 @@ class _Fewer:
         self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
         self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)
 
-    def few(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> Parts:
+    def few(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> PartsAndFooting:
         """Parts and what is left of the footing.
 
         Joins are refused where parts stand off farthest, until their mean is as asked, or that of before. Where no
         refusal leads there, the nearest parts are taken."""
-        tree, far = _Tree(_pieces(self._o.parts, made), joins), list[tuple[float, Parts]]()
+        tree, far = _Tree(_pieces(self._o.parts, made), joins), list[tuple[float, PartsAndFooting]]()
         while True:
             parts, footing = self._on_footing(self._joined_by(tree))
             found = [(part, few) for part in (*parts, *footing) for few in self._delivered(part)]

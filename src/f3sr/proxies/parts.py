@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart, MassProperties, is_closed, mass_properties, signed_volume, union
-from f3sr.core.transforms import Array, cross
+from f3sr.core.mesh import ConvexPart, MassProperties, area_vectors, is_closed, mass_properties, signed_volume, union
+from f3sr.core.transforms import Array
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import Piece, cut_up
@@ -68,7 +68,7 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
 
 def _missing_share(triangles: Array) -> float:
     """How much a surface lacks to be closed, seen from its best side: the normals of a closed one add up to nothing."""
-    normals = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = area_vectors(triangles)
     return float(np.linalg.norm(normals.sum(0)) / np.linalg.norm(normals, axis=1).sum())
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, bounds_of, cross
+from f3sr.core.mesh import ConvexPart, area_vectors
+from f3sr.core.transforms import Array, bounds_of
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import planes
 
@@ -71,8 +71,7 @@ def _first_planes(hull: ConvexPart, base: Planes | None) -> Planes:
 
 def _flats(hull: ConvexPart, share: float) -> Array:
     """Mean normals (k, 3) of facets that face nearly the same way and hold ``share`` of the hull's area."""
-    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    areas = cross(b - a, c - a)
+    areas = area_vectors(hull.vertices[hull.faces])
     area = np.linalg.norm(areas, axis=1)
     normals = areas / np.maximum(area, np.finfo(float).tiny)[:, None]
     left, flats = area.copy(), list[Array]()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.mesh import area_vectors
 from f3sr.core.transforms import Array, cross
 from f3sr.proxies.hulls import Hull
 
@@ -183,7 +184,7 @@ class Subject:
 def samples_of(triangles: Array, count: int) -> Samples:
     """``count`` points spread over triangles (n, 3, 3) by area, in their order, the same ones every time."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    areas = cross(b - a, c - a)
+    areas = area_vectors(triangles)
     area = np.linalg.norm(areas, axis=1)
     reached = np.cumsum(area)
     triangle = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
@@ -225,8 +226,7 @@ def _cell(vertices: Array, faces: Faces) -> float:
 
 def area_of(triangles: Array) -> float:
     """Of triangles (n, 3, 3)."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return float(np.linalg.norm(cross(b - a, c - a), axis=1).sum()) / 2
+    return float(np.linalg.norm(area_vectors(triangles), axis=1).sum()) / 2
 
 
 def _dense(vertices: Array, faces: Faces, step: float) -> Array:

@@ -33,11 +33,12 @@ def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decisi
     before = _scores(came)
     _by_lifts(layout, config)
     lifted, there = layout.saved(), layout.moved_scene()
-    first, overlapping = _scores(there), _overlapping(layout)
+    first = _scores(there)
     groups = [g for g in groups_of(came, there, config.contact.apart) if len(g) > 1]
     lost = [g for g in groups if _mean(before, g) - _mean(first, g) > LOST]
     if not lost or not config.max_ray_scale:
         return []
+    overlapping = _overlapping(layout)
     tried = frozenset(id for g in lost for id in g)
     layout.restore(layout.saved_with(start, tried))
     with _held(layout, tried):
