@@ -26,7 +26,6 @@ from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.separate.placement import Placement
 from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
-from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
 from folders import boxes, camera, to_depth, write_folder
 from scenes import box, box_mesh, box_stack_scene, measured, scene_of, visible_iou
 
@@ -247,32 +246,6 @@ def test_align_leaves_a_perfect_scene_almost_alone(exact: Scene):
 def test_align_never_accepts_what_the_picture_does_not_like(wrong: Scene):
     scene, _ = align(wrong, AlignConfig(search=SearchConfig(iterations=2), facets=FacetConfig(enabled=False)))
     assert visible_iou(scene) >= visible_iou(wrong)
-
-
-def test_regions_of_nearer_objects_are_left_out():
-    near, far = box(0, at=(0.0, -0.2, 0.05)), box(1, at=(0.0, 0.2, 0.05))
-    scene = scene_of(near, far)
-    valid = {id: visible_region(scene[id], nearer) for id, nearer in nearer_objects(scene).items()}
-    assert valid[0].all()
-    assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
-
-
-@pytest.mark.parametrize("rows", [10, 4, 1])
-def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not(rows: int):
-    fruit, bowl = box(0), box(1)
-    mine, other = (np.zeros_like(fruit.mask) for _ in range(2))
-    mine[20 - rows : 20, 20:40], other[20:40, 20:40] = True, True
-    # Below the fruit a wall is seen on the left, 3 cm before it; on the right what it stands on comes nearer slowly.
-    points = np.ones((*mine.shape, 3), np.float32)
-    points[20:, :30, 2] = 0.97
-    points[20:, 30:, 2] -= np.linspace(0, 0.004, len(points) - 20, dtype=np.float32)[:, None]
-    geometry = Geometry(points=points, valid=np.ones_like(mine))
-    hidden = behind_the_photo(replace(fruit, mask=mine), [replace(bowl, mask=other)], geometry)
-    wall = other.copy()
-    wall[:, 30:] = False
-    assert not (hidden & ~wall).any()
-    below = slice(20, 20 + rows)
-    assert np.array_equal(hidden[below, 20:30], wall[below, 20:30])
 
 
 # --- separate and settle ------------------------------------------------------------------------------------

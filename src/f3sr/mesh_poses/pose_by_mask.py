@@ -124,7 +124,7 @@ class MaskedPhoto:
         """Pixels (H, W) where the silhouette of an object must agree with its mask, before others have a pose."""
         others = [unplaced(i, o.mesh) for i in self.instances.values() if i.id != o.id]
         if self.geometry is not None:
-            return ~behind_the_photo(o, others, self.geometry)
+            return ~behind_the_photo(o, others, self.geometry, self.camera)
         return ~union_of((p.mask for p in others), o.mask.shape)
 
 

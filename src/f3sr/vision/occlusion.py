@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.depth_prior import sigma
-from f3sr.vision.regions import nearest_in
+from f3sr.vision.regions import grown, joined_to, nearest_in
 from f3sr.vision.silhouette import Mask, resample, union_of
 
 RESOLUTION = 384
@@ -20,6 +23,8 @@ ENOUGH = 20
 
 BORDER = 3
 """Pixels of the geometry at the border of a mask whose depths may be mixed with its neighbour's."""
+GRAZING = np.radians(25)
+"""Flattest angle [rad] at which a surface is seen: seen flatter, one that goes on looks like a step."""
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
@@ -40,26 +45,67 @@ def comparable_region(o: SceneObject, nearer: Iterable[SceneObject], scene: Scen
     photo's geometry shows before it."""
     valid = visible_region(o, nearer)
     if scene.geometry:
-        valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry)
+        valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry, scene.camera)
     return valid
 
 
-def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry) -> Mask:
+def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry, camera: Camera) -> Mask:
     """The pixels (H, W) of other objects' masks where the geometry shows a surface before an object, as a bowl's wall
     before the fruit in it: there the object would be hidden.
 
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
-    stands on another, depth goes on without a step.
+    stands on another, depth goes on without a step. What begins with a step and then goes down away from the camera, as
+    a crate's wall seen from above, is before the object as long as it is nearer across the ground. The ``camera`` tells
+    what is vertical.
     """
     mine = geometry.inside(o.mask)
     sure = _inner(mine)
     hidden = np.zeros_like(mine)
     if sure.any():
-        around = _around(mine)
-        depth = geometry.points[..., 2][around]
-        rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))[around]
-        hidden[around] = rest & (depth < (1 - sigma(geometry)) * depth[nearest_in(sure[around])])
+        rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))
+        there = _around(mine)
+        beside = _Beside.of(geometry, sure, there)
+        hidden[there] = rest[there] & beside.is_nearer()
+        steps = np.zeros_like(mine)
+        steps[there] = beside.begins(hidden[there] & grown(mine[there], 2 * BORDER))
+        if steps.any():
+            there = _around(mine, widely=True)
+            walls = rest[there] & _Beside.of(geometry, sure, there).is_nearer_across_ground(camera)
+            hidden[there] |= joined_to(steps[there], within=hidden[there] | walls)
     return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Beside:
+    """A part of the geometry: ``points`` (h, w, 3), for each the nearest of the object's own, and the standard
+    deviation of depths as a share of them."""
+
+    points: NDArray[np.float32]
+    own: NDArray[np.float32]
+    noise: float
+
+    @classmethod
+    def of(cls, geometry: Geometry, sure: Mask, there: tuple[slice, slice]) -> _Beside:
+        points = geometry.points[there]
+        return cls(points=points, own=points[nearest_in(sure[there])], noise=sigma(geometry))
+
+    def is_nearer(self) -> Mask:
+        return self.points[..., 2] < (1 - self.noise) * self.own[..., 2]
+
+    def is_nearer_across_ground(self, camera: Camera) -> Mask:
+        """Whether the horizontal distance from the camera is shorter."""
+        up = camera.T_world_camera[2, :3].astype(np.float32)
+        points, own = ((p * p).sum(-1) - (p @ up) ** 2 for p in (self.points, self.own))
+        return points < (1 - self.noise) ** 2 * own
+
+    def begins(self, some: Mask) -> Mask:
+        """Which of some pixels are nearer than a surface would be that goes on from the object's own."""
+        points, own = self.points[some], self.own[some]
+        cosine = (points * own).sum(-1) / np.sqrt((points * points).sum(-1) * (own * own).sum(-1))
+        room = np.sqrt(np.maximum(2 - 2 * cosine, 0)) / np.tan(GRAZING)
+        found = np.zeros_like(some)
+        found[some] = points[:, 2] < (1 - self.noise - room) * own[:, 2]
+        return found
 
 
 def _inner(mask: Mask) -> Mask:
@@ -75,14 +121,13 @@ def _inner(mask: Mask) -> Mask:
     return inner
 
 
-def _around(mask: Mask) -> tuple[slice, slice]:
-    """Rows and columns of a mask's box, with as much again on every side."""
-    spans: list[slice] = []
-    for axis in (1, 0):
-        there = np.flatnonzero(mask.any(axis=axis))
-        size = int(there[-1] - there[0]) + 1
-        spans.append(slice(max(0, int(there[0]) - size), int(there[-1]) + size + 1))
-    return spans[0], spans[1]
+def _around(mask: Mask, *, widely: bool = False) -> tuple[slice, slice]:
+    """Rows and columns of a mask's box, with as much again on every side; ``widely``: twice its longer side."""
+    spans = [np.flatnonzero(mask.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0)]
+    sides = [1 + last - first for first, last in spans]
+    room = [2 * max(sides)] * 2 if widely else sides
+    rows, columns = (slice(max(0, first - r), last + r + 1) for (first, last), r in zip(spans, room, strict=True))
+    return rows, columns
 
 
 def _nearer(a: Array, b: Array) -> bool:

@@ -18,6 +18,13 @@ def grown(mask: Mask, steps: int, within: Mask | None = None) -> Mask:
     return np.asarray(binary_dilation(mask, iterations=steps, mask=within), np.bool_)
 
 
+def joined_to(seeds: Mask, within: Mask) -> Mask:
+    """What of a mask (h, w) is connected to seeds (h, w) in it."""
+    from scipy.ndimage import binary_propagation
+
+    return np.asarray(binary_propagation(seeds, mask=within), np.bool_)
+
+
 def squared(mask: Mask, side: int) -> Mask:
     """Pixels (h, w) whose square of an odd ``side`` [px] meets the mask."""
     from scipy.ndimage import binary_dilation

@@ -1,0 +1,80 @@
+"""Where an object is compared with its mask: not where something nearer hides it, as the photo's geometry shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr.metrics.measures import full_silhouette
+from f3sr.scene import Geometry, Photo, Scene, SceneObject
+from f3sr.vision import rasterizer
+from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
+from folders import camera
+from scenes import box, scene_of
+
+
+def test_regions_of_nearer_objects_are_left_out():
+    near, far = box(0, at=(0.0, -0.2, 0.05)), box(1, at=(0.0, 0.2, 0.05))
+    scene = scene_of(near, far)
+    valid = {id: visible_region(scene[id], nearer) for id, nearer in nearer_objects(scene).items()}
+    assert valid[0].all()
+    assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
+
+
+@pytest.mark.parametrize("rows", [10, 4, 1])
+def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not(rows: int):
+    fruit, bowl = box(0), box(1)
+    mine, other = (np.zeros_like(fruit.mask) for _ in range(2))
+    mine[20 - rows : 20, 20:40], other[20:40, 20:40] = True, True
+    # Below the fruit a wall is seen on the left, 3 cm before it; on the right what it stands on comes nearer slowly.
+    points = np.ones((*mine.shape, 3), np.float32)
+    points[20:, :30, 2] = 0.97
+    points[20:, 30:, 2] -= np.linspace(0, 0.004, len(points) - 20, dtype=np.float32)[:, None]
+    geometry = Geometry(points=points, valid=np.ones_like(mine))
+    hidden = behind_the_photo(replace(fruit, mask=mine), [replace(bowl, mask=other)], geometry, scene_of(fruit).camera)
+    wall = other.copy()
+    wall[:, 30:] = False
+    assert not (hidden & ~wall).any()
+    below = slice(20, 20 + rows)
+    assert np.array_equal(hidden[below, 20:30], wall[below, 20:30])
+
+
+def photographed(*objects: SceneObject) -> Scene:
+    """Objects with the masks and the geometry of a camera that looks down by 40 degrees."""
+    eye = camera().resized(4 * camera().width, 4 * camera().height)
+    seen = rasterizer.render(objects, eye)
+    rows, columns = np.mgrid[: eye.height, : eye.width] + 0.5
+    rays = np.linalg.solve(eye.K, np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1)).T
+    points = (rays * np.nan_to_num(seen.depth, posinf=0.0).reshape(-1, 1)).reshape(eye.height, eye.width, 3)
+    return Scene(
+        photo=Photo(rgb=np.zeros((eye.height, eye.width, 3), np.uint8)),
+        camera=eye,
+        objects=tuple(replace(o, mask=seen.ids == o.id) for o in objects),
+        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(seen.depth)),
+    )
+
+
+@pytest.mark.parametrize("height", [0.08, 0.11, 0.14])
+@pytest.mark.parametrize("away", [0.02, 0.06])
+def test_all_of_an_object_that_a_wall_hides_is_left_out_however_far_down_the_wall_goes(height: float, away: float):
+    # The wall's depth grows downwards, beyond that of the object's upper end.
+    wall = box(0, size=(0.3, 0.005, 0.1), at=(0, -0.1, 0.05))
+    brick = box(1, size=(0.05, 0.05, height), at=(0.02, away - 0.0725, height / 2))
+    scene = photographed(wall, brick)
+    alone = full_silhouette(brick, scene.camera)
+    assert scene.geometry
+    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
+    missed = alone & ~scene[1].mask & ~hidden
+    assert np.count_nonzero(scene[1].mask) > 300
+    assert np.count_nonzero(missed) < 0.02 * np.count_nonzero(alone)
+
+
+def test_what_an_object_stands_on_does_not_hide_it():
+    below = box(0, size=(0.1, 0.1, 0.2), at=(0, 0, 0.1))
+    above = box(1, size=(0.06, 0.06, 0.06), at=(0, 0, 0.23))
+    scene = photographed(below, above)
+    depth = rasterizer.render([below, above], scene.camera).depth
+    front = scene[0].mask & (depth > depth[scene[1].mask].max())
+    assert scene.geometry
+    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
+    assert front.any() and not (hidden & front).any()
