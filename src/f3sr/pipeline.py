@@ -29,6 +29,7 @@ from f3sr.scene import Scene
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, Aligned, align
 from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
+from f3sr.stages.balance import balance
 from f3sr.stages.close import CloseConfig, Closed, close
 from f3sr.stages.coarsen import ROUNDS, CoarsenConfig, Coarsened, coarsen
 from f3sr.stages.decompose import Decomposed, decompose
@@ -165,7 +166,8 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
-        replaced=partial(again, aligning=replace(config.align, camera=False, objects=False)),
+        balanced=partial(again, balances=True),
+        replaced=again,
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
         realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
@@ -261,22 +263,30 @@ def _made_again(
     *,
     start: Scene | None = None,
     moving: frozenset[int] | None = None,
-    aligning: AlignConfig,
+    aligning: AlignConfig | None = None,
     config: Config,
     closes: bool,
     gives_up: bool = True,
+    balances: bool = False,
 ) -> SettledScene:
-    """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
+    """The scene after another alignment of some objects, if any, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
     groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
-    closed, but put back."""
+    closed, but put back. ``balances``: objects go to their nearest equilibrium instead of being separated."""
     contact = config.refine.contact
-    aligned, _ = align(start or scene, aligning, only=ids)
+    aligned = start or scene
+    if aligning:
+        aligned, _ = align(aligned, aligning, only=ids)
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
-    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
+    if balances:
+        start = balance(retry.scene, config.uncertainty, contact)
+        retry = retry.without_losers(SettledScene(scene=start, restless=frozenset()), contact)
+        parted = retry.scene
+    else:
+        parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
     rested = _rested(parted, config.settle)
     retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene
@@ -288,8 +298,7 @@ def _made_again(
 
 def settling(config: Config) -> Restarted:
     """What brings objects of a scene to rest from other poses, as ``reconstruct`` would deliver them."""
-    aligning = replace(config.align, camera=False, objects=False)
-    return partial(_made_again, config=with_shared_settings(config), closes=True, aligning=aligning, gives_up=False)
+    return partial(_made_again, config=with_shared_settings(config), closes=True, gives_up=False)
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -134,15 +134,24 @@ def _apart(a: Array, b: Array, reach: float) -> bool:
 
 def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
+    n, gap = nearest_facet(a, b, reach)
+    return None if gap > reach else patch_of(a, b, n, reach)
+
+
+def nearest_facet(a: Polytope, b: Polytope, reach: float) -> tuple[Array, float]:
+    """The axis of best separation of two convex parts: a unit normal (3,) from a to b, and the gap along it [m], which
+    is negative where they overlap."""
     normals, heights = facets(a, b)
     faces = len(a.normals) + len(b.normals)
-    # The axis of best separation has the least height; -height is the gap along it.
+    # It has the least height; -height is the gap along it.
     best = int(np.argmin(heights[:faces]))
     if len(heights) > faces and heights[faces:].min() < heights[best] - FACE_FIRST * reach:
         best = faces + int(np.argmin(heights[faces:]))
-    if heights[best] < -reach:
-        return None
-    n = normals[best]
+    return normals[best], -float(heights[best])
+
+
+def patch_of(a: Polytope, b: Polytope, n: Array, reach: float) -> _ContactPatch | None:
+    """Where ``a``, moved by ``reach`` [m] along n (3,), overlaps ``b``: the corners, midway between the surfaces."""
     shift = reach * n
     rows = np.empty((2 * (len(a.edge_starts) + len(b.edge_starts)), 12))
     # a's planes move with a: normal . (x - shift) <= offset.

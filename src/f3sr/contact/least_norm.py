@@ -7,6 +7,11 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 
+NEWTON_STEPS = 60
+"""Most steps; ten suffice."""
+ROUNDING = 1e-9
+"""Share of x that a step must change to go on."""
+
 
 def shortest(rows: Array) -> Array | None:
     """The shortest x (n,) with ``rows[:, :-1] @ x >= rows[:, -1]`` for rows (k, n + 1), None when there is none."""
@@ -26,3 +31,28 @@ def shortest(rows: Array) -> Array | None:
     if abs(left[-1]) < 1e-10:
         return None
     return -left[:-1] / left[-1] * unit
+
+
+def nearly(rows: Array, price: float) -> Array:
+    """The x (n,) with the least ``|x|^2 + price |s|^2``, where ``rows[:, :-1] @ x + s >= rows[:, -1]``.
+
+    The gradient is piecewise linear: Newton's method ends after some steps."""
+    G, h = rows[:, :-1], rows[:, -1]
+    x = np.zeros(G.shape[1])
+    for _ in range(NEWTON_STEPS):
+        active = h - G @ x > 0
+        A, short = G[active], (h - G @ x)[active]
+        gradient = x - price * A.T @ short
+        step = -np.linalg.solve(np.eye(len(x)) + price * A.T @ A, gradient)
+        size, slope = 1.0, float(gradient @ step)
+        while _cost(x + size * step, G, h, price) > _cost(x, G, h, price) + 1e-4 * size * slope and size > ROUNDING:
+            size /= 2
+        x = x + size * step
+        if size * np.abs(step).max() <= ROUNDING * (1 + np.abs(x).max()):
+            break
+    return x
+
+
+def _cost(x: Array, G: Array, h: Array, price: float) -> float:
+    short = np.maximum(h - G @ x, 0)
+    return float(x @ x + price * short @ short) / 2

@@ -42,7 +42,7 @@ class StaticBody:
         return float(np.linalg.norm(np.ptp(self.parts.bounds, axis=0)))
 
     def moved(self, T: Array) -> StaticBody:
-        """The body under a rigid motion T (4, 4)."""
+        """The body under a rigid motion T (4, 4), or a similarity: its mass stays."""
         return replace(self, parts=self.parts.moved(T), centers=transform(T, self.centers))
 
 

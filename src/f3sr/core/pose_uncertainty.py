@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, pose, rotation_from_vector
 
 Matrix7 = tuple[tuple[float, ...], ...]
 """(7, 7)."""
@@ -55,3 +56,9 @@ class PoseUncertainty:
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             conditional=tuple(tuple(row) for row in conditional.tolist()),
         )
+
+
+def similarity(q: Array, middle: Array) -> tuple[Array, float]:
+    """The motion x -> T (scale x) of the parameters (7,) of a pose about its ``middle`` (3,)."""
+    R, scale = rotation_from_vector(q[TURN]), math.exp(q[SCALE])
+    return pose(R, middle + q[SHIFT] - scale * R @ middle), scale

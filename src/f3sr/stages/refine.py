@@ -14,7 +14,8 @@ from typing import Annotated, ClassVar, Protocol
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.core.transforms import rotation_angle
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import invert_pose, rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
@@ -40,6 +41,8 @@ PATIENCE = 3
 HOPELESS = 0.02
 """Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
 whatever its measured depths gain."""
+UNMOVED = 1e-12
+"""Shift [m] and turn [rad] of a camera that are rounding."""
 AGAIN = 3e-3
 """Least gain of a group, and of an object in it, for another round: the next gains a third, or less. Groups that do not
 rest are not tried again either, as they take all the time that settling may."""
@@ -49,9 +52,10 @@ rest are not tried again either, as they take all the time that settling may."""
 class RefineConfig:
     """What is tried again once everything rests, and kept where the picture gains.
 
-    Objects that toppled are stood on their nearest stable facet before physics. What contact moved off its masks is
-    placed again from where alignment had it. Then all are re-aligned under contact, at last one by one:
-    they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
+    Objects that toppled are stood on their nearest stable facet before physics. What contact moved off its masks goes
+    to the equilibrium nearest to where alignment had it, or is placed again from there. Then all are re-aligned under
+    contact, at last one by one: they turn about the vertical, shift horizontally and scale about their base, and are
+    separated and settled again.
     """
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
@@ -92,19 +96,21 @@ def refine(
     aligned: Scene,
     parted: Scene,
     stood_up: Restarted,
+    balanced: Restarted,
     replaced: Restarted,
     realigned: Retried,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
-    What is off its masks then is also placed again from where ``aligned`` has it, and aligned from there. At last every
-    object that is still off its mask is re-aligned alone.
+    What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. What is off its
+    masks after alignment is also placed again from there. At last every object that is still off its mask is re-aligned
+    alone.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
     state = SettledScene(scene=scene, restless=frozenset(restless))
-    seen = SettledScene(scene=aligned, restless=frozenset())
+    seen = SettledScene(scene=_seen_by(scene.camera, aligned), restless=frozenset())
     before = state.seen
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
@@ -112,6 +118,12 @@ def refine(
         upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
         tried = stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
+        decisions.append(decision)
+    if lost := sorted(_lost(state, seen, config.contact)):
+        step = f"moved to the nearest equilibrium: object {_named(lost)}"
+        start = state.scene.with_objects(*(seen.scene[id] for id in lost))
+        tried = balanced(state.scene, lost, start=start, moving=frozenset(lost))
+        state, decision, _ = _better(state, tried, lost, step, config)
         decisions.append(decision)
     came = state
     state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
@@ -209,6 +221,15 @@ def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int], *, attempt: int
             o = o.moved(camera.homothety(k), scale=k, stage=Refined.stage, reason=reason)
         objects.append(o)
     return scene.with_objects(*objects)
+
+
+def _seen_by(camera: Camera, scene: Scene) -> Scene:
+    """A scene moved as a whole to where its camera is another one: ``separate`` moves the ground under both."""
+    T = camera.T_world_camera @ invert_pose(scene.camera.T_world_camera)
+    if np.allclose(T, np.eye(4), rtol=0, atol=UNMOVED):
+        return scene
+    objects = tuple(o.moved(T, stage=Refined.stage, reason="with everything, as the ground moved") for o in scene)
+    return replace(scene, objects=objects, camera=camera)
 
 
 def _before_the_fall(

@@ -15,6 +15,10 @@ class UncertaintyConfig:
     """Least error of an outline [px of the window]."""
     least_mismatch: float = 0.05
     """Least 1 - correlation of detail that counts as noise."""
+    fitting_outline: float = 0.03
+    """Loss that the outline of a generated mesh leaves where it fits its mask."""
+    fitting_detail: float = 1.0
+    """1 - correlation of detail that it leaves: generated textures are nothing to rely on."""
     shape: float = 0.014
     """Standard deviation of a generated surface at a contact [share of the object's size]."""
     stretch: float = 0.02

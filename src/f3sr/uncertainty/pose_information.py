@@ -7,7 +7,7 @@ the ground's height [m] and two tilts [rad], are parameters too: their errors ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,11 +74,26 @@ def _block(matrix: Array, k: int) -> Array:
     return matrix[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)]
 
 
-def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyConfig) -> Array:
+def precisions(scene: Scene, ids: Collection[int], config: UncertaintyConfig) -> dict[int, Array]:
+    """(7, 7) of some objects, by id: what moves cost, all else as the scene has it, and contacts left out.
+
+    Every object counts as one that fits its mask. So a move costs what it takes from the picture, also of an object
+    that fits badly."""
+    nearer, sigmas = nearer_objects(scene), depth_prior.sigmas(scene)
+    found = dict[int, Array]()
+    for id in ids:
+        o = scene[id]
+        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)[:POSE, :POSE]
+        found[id] = seen + of_depth(o, scene.camera, sigmas[id]) + np.diag(_prior(o, config))
+    return found
+
+
+def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyConfig, *, fits: bool = False) -> Array:
     """(10, 10), pose and camera: the curvature of silhouette and detail over their noise.
 
     What the best pose leaves of each loss is its noise: the outline errs in some independent places, ``outline``, and
-    the detail in others. So a mesh that is not quite the object tells less of where it is."""
+    the detail in others. So a mesh that is not quite the object tells less of where it is. ``fits``: the noise is that
+    of a mesh that fits, whatever the loss is."""
     camera = scene.camera
     window = window_around(o, camera, config.resolution)
     mask, region = (sampled(m, camera, window, fill=False) for m in (o.mask, valid))
@@ -90,10 +105,12 @@ def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyCon
     surface = Surface.of([(light.vertices_world, light.mesh.faces)])
     silhouette = loss(surface.integrals(window, target.fields, velocities), target)
     border = 4 * np.sqrt(target.area) / target.area
-    found = config.outline / max(silhouette.value, config.pixel * border) * silhouette.curvature
+    noise = config.fitting_outline if fits else max(silhouette.value, config.pixel * border)
+    found = config.outline / noise * silhouette.curvature
     if o.mesh.has_detail:
         detail = Appearance.of(scene.photo, camera, window, mask & region).mismatch(o, velocities)
-        found += config.detail / max(detail.value, config.least_mismatch) * detail.curvature
+        noise = config.fitting_detail if fits else max(detail.value, config.least_mismatch)
+        found += config.detail / noise * detail.curvature
     # A shape that is stretched looks like another scale: that nuisance is marginalised (a Schur complement).
     stretched = found[:, SCALE]
     return found - np.outer(stretched, stretched) / (found[SCALE, SCALE] + config.stretch**-2)

@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from f3sr.core.camera import Camera
-from f3sr.core.pose_uncertainty import SCALE, SHIFT, TURN
-from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform
+from f3sr.core.pose_uncertainty import SCALE, SHIFT, TURN, similarity
+from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import Measures, measure
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
@@ -216,7 +216,7 @@ class _Poses:
 
         def motion(x: Array) -> tuple[Array, float]:
             east, north, yaw, growth = root @ x
-            return _similarity(np.array([east, north, 0, 0, 0, yaw, growth]), pivot)
+            return similarity(np.array([east, north, 0, 0, 0, yaw, growth]), pivot)
 
         x = np.zeros(4)
         for _ in range(self.config.sweeps):
@@ -244,7 +244,7 @@ class _Poses:
             if o.mobility == "fixed":
                 continue
             q = self.roots[id] @ x[id] if id in x else np.zeros(7)
-            T, scale = _similarity(q, o.bounds_world.mean(0))
+            T, scale = similarity(q, o.bounds_world.mean(0))
             corners = self.corners[id]
             foot = corners[np.argmin(corners[:, 2])]
             rise = self._rise(o, foot, moves)
@@ -284,12 +284,6 @@ def _as_pose(arm: Array) -> Array:
     A[SHIFT, 2], A[TURN.stop - 1, 2] = np.cross(UP, arm), 1
     A[SHIFT, 3], A[SCALE, 3] = arm, 1
     return A
-
-
-def _similarity(q: Array, middle: Array) -> tuple[Array, float]:
-    """The motion x -> T (scale x) of the parameters (7,) of a pose about its ``middle`` (3,)."""
-    R, scale = rotation_from_vector(q[TURN]), math.exp(q[SCALE])
-    return pose(R, middle + q[SHIFT] - scale * R @ middle), scale
 
 
 def _root(covariance: Array) -> Array:

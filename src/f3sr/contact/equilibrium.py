@@ -1,0 +1,191 @@
+"""The equilibrium nearest to given poses: contact forces balance all weights, and no body moves without need.
+
+Moves of bodies and the forces of contacts are sought together. A force acts only where bodies touch (complementarity:
+force times gap is 0). Small moves x, measured by how well each pose is known, and forces f minimise
+
+    |x|^2 / 2 + rho * sum(f * gap(x))
+
+so that f balances all weights, with gravity tilted a little to several sides, and no bodies overlap. Each of two steps
+lowers this sum: the forces of least virtual work for the present gaps (a linear programme), then the moves for these
+forces (a least-distance programme). As rho grows, gaps that forces need close (a penalty for a mathematical programme
+with complementarity constraints: Ralph and Wright, "Some properties of regularization and penalization schemes for
+MPECs", 2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.contact.contact_patches import Contacts
+from f3sr.contact.force_balance import Balance
+from f3sr.contact.least_norm import nearly, shortest
+from f3sr.contact.near_contacts import NearContacts, near_contacts, size_of
+from f3sr.contact.static_bodies import StaticBody
+from f3sr.core.pose_uncertainty import SHIFT, TURN, similarity
+from f3sr.core.transforms import Array, cross, pose
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
+from f3sr.scene import Ground
+
+PARAMETERS = 7
+"""Of a move: ``core.pose_uncertainty``."""
+CONE_EDGES = 4
+"""Edges of friction pyramids: fewer edges have less friction, so this is on the safe side."""
+TILT = 0.02
+"""Tangent of the tilts of gravity that are balanced: what proxies and masses are wrong by."""
+TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi * np.arange(3) / 3)], axis=1)
+UNBALANCED = 0.03
+"""Virtual work per unbalanced weight, as a gap [m]: wider ones are not closed."""
+NEEDLESS = 1e-7
+"""Virtual work per force, as a gap [m], so that no contact pushes without need."""
+STEP = 0.03
+"""Largest shift in one step, as a share of the body's size: gaps are linear in small moves only."""
+TURN_STEP = 0.12
+"""Largest turn in one step [rad]."""
+FIRST = ((1e2, 1e6),) * 4 + ((1e2, 1e7), (3e2, 1e8))
+"""Steps in which deep overlap ends: rho [standard deviations squared per metre and mean weight], and the price of
+squared overlap [the same per square metre]."""
+RHOS = (1e3, 1e3, 3e3, 3e3, 1e4, 1e4, 3e4, 3e4, 1e5, 1e5, 3e5, 3e5)
+"""Of the other steps, in which no overlap is allowed."""
+BALANCED = 1e-5
+"""Virtual work [mean weights times metres] from which on all gaps that forces need count as closed."""
+STILL = 5e-5
+"""Largest shift [m] of a step after which the search may end."""
+ENOUGH = 1e4
+"""Least rho with which it may end."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Move:
+    """x -> T (scale x), ``T`` (4, 4)."""
+
+    T: Array
+    scale: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Equilibrium:
+    """Where bodies are in balance."""
+
+    moves: Mapping[int, Move]
+    """Of every body that may move, from where it was."""
+    cost: float
+    """Sum of the squared moves, in standard deviations."""
+    work: float
+    """Virtual work that is left [mean weights times metres]: 0 where all weights are balanced."""
+
+
+def nearest_equilibrium(
+    bodies: Sequence[StaticBody],
+    precisions: Mapping[int, Array],
+    *,
+    clearance: float = DEFAULT_MARGIN.clearance,
+    ground_friction: float = Ground.friction,
+) -> Equilibrium:
+    """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
+
+    ``precisions``: a positive definite (7, 7) per id that may move, the inverse covariance of a shift [m], a rotation
+    vector [rad] and the logarithm of the scale, both about the middle of the body's box. The others stay.
+    """
+    search = _Search(bodies, precisions, clearance, ground_friction)
+    work = np.inf
+    for rho, price in FIRST:
+        search.step(rho, price=price, tilts=np.zeros((1, 2)))
+    for rho in RHOS:
+        work, shift = search.step(rho, tilts=TILTS)
+        if work < BALANCED and shift < STILL and rho >= ENOUGH:
+            break
+    return Equilibrium(moves=search.moves, cost=search.cost, work=work)
+
+
+class _Search:
+    """Bodies on their way. Moves are scaled so that the cost of x (7 n,) is |x|^2."""
+
+    def __init__(
+        self, bodies: Sequence[StaticBody], precisions: Mapping[int, Array], clearance: float, ground_friction: float
+    ) -> None:
+        self.bodies = {b.id: replace(b, fixed=b.fixed or b.id not in precisions) for b in bodies}
+        self.ids = [id for id, b in self.bodies.items() if not b.fixed]
+        self.places = {id: slice(PARAMETERS * k, PARAMETERS * (k + 1)) for k, id in enumerate(self.ids)}
+        self.clearance, self.ground_friction = clearance, ground_friction
+        self.middles = {id: self.bodies[id].parts.bounds.mean(0) for id in self.ids}
+        # q' W q = |L' q|^2 with W = L L'; in x = L' q the cost is |x|^2, and q = L'^-1 x.
+        self.units = {id: np.linalg.inv(np.linalg.cholesky(precisions[id]).T) for id in self.ids}
+        self.moves = {id: Move(T=np.eye(4), scale=1.0) for id in self.ids}
+        self.x = np.zeros(PARAMETERS * len(self.ids))
+        self.hanging = list[int]()
+
+    @property
+    def cost(self) -> float:
+        return float(self.x @ self.x)
+
+    def step(self, rho: float, *, tilts: Array, price: float | None = None) -> tuple[float, float]:
+        """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
+        shift [m]. ``price``: of squared overlap, where it may be left."""
+        near = near_contacts({id: b.parts for id, b in self.bodies.items()}, self.ids, self.hanging)
+        forces, work = self._forces(near, tilts)
+        rates = self._rates(near.contacts)
+        pull = rho * forces @ rates
+        # |x|^2 / 2 + pull x = |x + pull|^2 / 2 - ..: the shortest y = x + pull, where gaps stay open.
+        rows = np.column_stack([rates, self.clearance - near.gaps + rates @ (self.x + pull)])
+        y = nearly(rows, price) if price else shortest(rows)
+        if y is None:
+            y = nearly(rows, FIRST[-1][1])
+        return work, self._move(y - pull - self.x)
+
+    def _move(self, dx: Array) -> float:
+        """Move bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
+        steps = {id: self.units[id] @ dx[place] for id, place in self.places.items()}
+        share = min(1.0, *(self._most(id, q) for id, q in steps.items()))
+        self.x = self.x + share * dx
+        for id, q in steps.items():
+            T, scale = similarity(share * q, self.middles[id])
+            self.bodies[id] = self.bodies[id].moved(pose(scale * T[:3, :3], T[:3, 3]))
+            self.middles[id] = self.middles[id] + share * q[SHIFT]
+            was = self.moves[id]
+            t = scale * T[:3, :3] @ was.T[:3, 3] + T[:3, 3]
+            self.moves[id] = Move(T=pose(T[:3, :3] @ was.T[:3, :3], t), scale=scale * was.scale)
+        return share * max(float(np.linalg.norm(q[SHIFT])) for q in steps.values())
+
+    def _most(self, id: int, q: Array) -> float:
+        """The share of a move that a step allows."""
+        shift, turn = float(np.linalg.norm(q[SHIFT])), float(np.linalg.norm(q[TURN]))
+        tiny = np.finfo(float).tiny
+        return min(STEP * size_of(self.bodies[id].parts) / max(shift, tiny), TURN_STEP / max(turn, tiny))
+
+    def _forces(self, near: NearContacts, tilts: Array) -> tuple[Array, float]:
+        """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres."""
+        from scipy.optimize import linprog
+        from scipy.sparse import eye_array, hstack
+
+        group = [self.bodies[id] for id in self.ids]
+        balance = Balance(group, [*self.bodies.values()], near.contacts, self.ground_friction, edges=CONE_EDGES)
+        rows, mean = 6 * len(group), float(balance.masses.mean())
+        way = np.maximum(near.gaps[balance.rows] - self.clearance, 0.0) + NEEDLESS
+        cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(UNBALANCED * np.repeat(balance.masses, 6), 2)]
+        equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
+        forces, left, work = np.zeros(len(near.gaps)), np.zeros(rows), list[float]()
+        cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
+        for tilt, c in cases:
+            upright, lean = balance.weights(c)
+            found = linprog(cost, A_eq=equal, b_eq=upright + lean @ tilt, method="highs")
+            pushes, slack = found.x[: -2 * rows].reshape(-1, CONE_EDGES), found.x[-2 * rows :]
+            forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
+            left = np.maximum(left, slack.reshape(2, rows).max(0))
+            work.append(found.fun / mean)
+        self.hanging = [id for id, most in zip(self.ids, left.reshape(-1, 6).max(1), strict=True) if most > 0.01]
+        return forces, float(np.mean(work))
+
+    def _rates(self, contacts: Contacts) -> Array:
+        """(k, 7 n): how the gaps change with x."""
+        rates = np.zeros((len(contacts), len(self.x)))
+        for ids, sign in ((contacts.upper, 1.0), (contacts.lower, -1.0)):
+            for id, place in self.places.items():
+                on = ids == id
+                n, arm = contacts.normals[on], contacts.points[on] - self.middles[id]
+                # A point moves by d + w x r + s r; n . (w x r) = w . (r x n).
+                motion = np.column_stack([n, cross(arm, n), np.einsum("ij,ij->i", arm, n)])
+                rates[on, place] += sign * motion @ self.units[id]
+        return rates

@@ -1,0 +1,145 @@
+"""Where bodies touch, or would after small moves: corners of patches between near parts, with the gap at each."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from f3sr.contact.compounds import Compound, free_travel, near_parts
+from f3sr.contact.contact_patches import Contacts, hull_corners, nearest_facet, patch_of, tangents
+from f3sr.contact.polytopes import Polytope
+from f3sr.core.transforms import UP, Array, pose
+from f3sr.scene import GROUND
+
+REACH = 0.05
+"""Largest gap at which bodies may come to touch, as a share of the smaller body's size."""
+ROOM = 2e-4
+"""How much farther [m] than its least gap a patch of two parts reaches: curved surfaces touch in a small place."""
+FACES = 0.015
+"""The same between two faces that are nearly parallel, as a share of the smaller body's size: a small turn closes
+them."""
+PARALLEL = float(np.cos(np.radians(3)))
+"""Least cosine between two such faces."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NearContacts:
+    """``gaps`` (k,) [m] along the normals of the ``contacts``, negative where bodies overlap."""
+
+    contacts: Contacts
+    gaps: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Corners:
+    upper: int
+    lower: int
+    points: Array
+    normal: Array
+    follow: Array
+    gaps: Array
+
+
+def near_contacts(
+    bodies: Mapping[int, Compound], moving: Collection[int], hanging: Collection[int] = ()
+) -> NearContacts:
+    """Contacts of ``moving`` bodies with all others and the ground that small moves may close.
+
+    Bodies are parts in the world by id. What is ``hanging`` also gets the contacts that it would have if it were
+    lowered, with the way down as their gaps."""
+    corners = [*_between_bodies(bodies, moving), *_on_ground(bodies, moving)]
+    for id in hanging:
+        corners += _below(bodies, id)
+    counts = [len(c.gaps) for c in corners]
+    return NearContacts(
+        contacts=Contacts(
+            upper=np.repeat([c.upper for c in corners], counts).astype(np.int64),
+            lower=np.repeat([c.lower for c in corners], counts).astype(np.int64),
+            points=np.concatenate([np.empty((0, 3)), *(c.points for c in corners)]),
+            normals=np.repeat(np.array([c.normal for c in corners]).reshape(-1, 3), counts, axis=0),
+            follow=np.concatenate([np.empty((0, 3, 3)), *(c.follow for c in corners)]),
+        ),
+        gaps=np.concatenate([np.empty(0), *(c.gaps for c in corners)]),
+    )
+
+
+def size_of(body: Compound) -> float:
+    """Diagonal of a body's box [m]."""
+    return float(np.linalg.norm(np.ptp(body.bounds, axis=0)))
+
+
+def _between_bodies(bodies: Mapping[int, Compound], moving: Collection[int]) -> Iterator[_Corners]:
+    for a, b in combinations(bodies, 2):
+        if a in moving or b in moving:
+            size = min(size_of(bodies[k]) for k in (a, b))
+            yield from _between(a, bodies[a], b, bodies[b], size, REACH * size)
+
+
+def _between(a: int, first: Compound, b: int, second: Compound, size: float, reach: float) -> Iterator[_Corners]:
+    for i, j in near_parts(first, second, reach).tolist():
+        n, gap = nearest_facet(first[i], second[j], ROOM)
+        if gap <= reach and (found := _corners(first[i], second[j], n, gap, size)):
+            points, follow, gaps = found
+            yield _Corners(upper=a, lower=b, points=points, normal=-n, follow=follow, gaps=gaps)
+
+
+def _corners(a: Polytope, b: Polytope, n: Array, gap: float, size: float) -> tuple[Array, Array, Array] | None:
+    facing = min(float((a.normals @ n).max()), float((b.normals @ -n).max()))
+    shift = gap + (FACES * size if facing > PARALLEL else ROOM)
+    patch = patch_of(a, b, n, shift)
+    if patch is None:
+        return None
+    at = patch.points + shift / 2 * n
+    gaps = shift - _way_out(a, at - shift * n, n) - _way_out(b, at, -n)
+    # What lies inside an outline says nothing more. The near half has its own outline, as of an edge above a face.
+    low = np.flatnonzero(gaps <= (gaps.min() + gaps.max()) / 2)
+    u, v = tangents(n)
+    places = np.stack([patch.points @ u, patch.points @ v], axis=1)
+    kept = np.union1d(hull_corners(places, ROOM / 100), low[hull_corners(places[low], ROOM / 100)])
+    return patch.points[kept], patch.follow[kept], gaps[kept]
+
+
+def _way_out(part: Polytope, points: Array, direction: Array) -> Array:
+    """(k,) distance [m] that points (k, 3) of a convex part go along a unit direction (3,) until they leave it."""
+    speed = part.normals @ direction
+    ahead = speed > 1e-6
+    left = part.offsets[ahead, None] - part.normals[ahead] @ points.T
+    return np.maximum((left / speed[ahead, None]).min(0), 0.0)
+
+
+def _on_ground(bodies: Mapping[int, Compound], moving: Collection[int]) -> Iterator[_Corners]:
+    for id in moving:
+        size = size_of(bodies[id])
+        if bodies[id].lowest <= REACH * size:
+            yield _above_ground(id, bodies[id], FACES * size)
+
+
+def _above_ground(id: int, body: Compound, room: float, lift: float = 0.0) -> _Corners:
+    """Corners up to ``room`` [m] above the lowest one, ``lift`` [m] added to their gaps."""
+    points = body.arrays.vertices
+    points = points[points[:, 2] <= body.lowest + room]
+    follow = np.tile(np.eye(3), (len(points), 1, 1))
+    return _Corners(upper=id, lower=GROUND, points=points, normal=UP, follow=follow, gaps=points[:, 2] + lift)
+
+
+def _below(bodies: Mapping[int, Compound], id: int) -> Iterator[_Corners]:
+    """What a body would meet if it were lowered."""
+    body, size = bodies[id], size_of(bodies[id])
+    others = Compound.of(b for k, b in bodies.items() if k != id)
+    drop = min(free_travel(body, others, -UP), body.lowest)
+    if drop <= REACH * size:
+        return
+    lowered = body.moved(pose(t=-drop * UP))
+    for k, other in bodies.items():
+        if k != id:
+            for c in _between(id, lowered, k, other, size, ROOM):
+                way = drop * abs(float(c.normal[2]))
+                points, gaps = c.points + drop * UP, c.gaps + way
+                yield _Corners(upper=id, lower=k, points=points, normal=c.normal, follow=c.follow, gaps=gaps)
+    if lowered.lowest <= ROOM:
+        ground = _above_ground(id, lowered, FACES * size, lift=drop)
+        points = ground.points + drop * UP
+        yield _Corners(upper=id, lower=GROUND, points=points, normal=UP, follow=ground.follow, gaps=ground.gaps)

@@ -1,0 +1,41 @@
+"""balance: objects where contact forces carry them, as near to where the photo shows them as can be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f3sr.contact.equilibrium import nearest_equilibrium
+from f3sr.contact.static_bodies import bodies_of
+from f3sr.metrics.contact_groups import groups_of
+from f3sr.physics.contact_margin import ContactMargin
+from f3sr.scene import Scene
+from f3sr.uncertainty.config import UncertaintyConfig
+from f3sr.uncertainty.pose_information import precisions
+
+MOST_OBJECTS = 16
+"""Most objects of a contact group that is moved into balance; the time grows with the square of their number."""
+
+
+def balance(scene: Scene, config: UncertaintyConfig, contact: ContactMargin) -> Scene:
+    """The scene with each contact group moved to its nearest equilibrium (``contact.equilibrium``).
+
+    Supports are not asked: what carries an object follows from the forces. Objects that are fixed stay. Poses are in
+    the world [m]; physics is not run.
+    """
+    bodies = bodies_of(scene)
+    free = {b.id for b in bodies if not b.fixed}
+    groups = [sorted(g & free) for g in groups_of(scene, scene, contact.apart)]
+    costs = precisions(scene, sorted(free), config)
+    for group in groups:
+        if not 1 <= len(group) <= MOST_OBJECTS:
+            continue
+        found = nearest_equilibrium(
+            bodies,
+            {id: costs[id] for id in group},
+            clearance=contact.clearance,
+            ground_friction=scene.ground.friction,
+        )
+        told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
+        moved = [scene[id].moved(m.T, scale=m.scale, stage="refine", reason=told) for id, m in found.moves.items()]
+        scene = scene.with_objects(*moved)
+    return scene
