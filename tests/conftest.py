@@ -26,9 +26,6 @@ import pytest  # noqa: E402
 from f3sr.runtime import kernels  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parent))
-import memory_folder  # noqa: E402
-
-memory_folder.enter()
 # No example has a deadline in wall time: other programs run on the machine. pytest-timeout ends what hangs.
 # ``make test`` draws the same examples each time: a change fails by what it changed. ``--hypothesis-profile=search``
 # looks for new ones; what it finds becomes an ``@example`` of its test.
@@ -70,11 +67,8 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_sessionfinish(exitstatus: int) -> None:
-    """Delete what the tests wrote if all passed. Look for cycles once: pytest would do it five times."""
-    if exitstatus == pytest.ExitCode.OK:
-        memory_folder.leave()
+def pytest_sessionfinish() -> None:
+    """Look for cycles once, without what stays: pytest does it five times."""
     gc.collect()
     gc.freeze()
 

@@ -99,18 +99,20 @@ def test_a_cap_that_sticks_out_is_told_however_small_it_is() -> None:
     assert proxy_distances(o)[0] * o.size == pytest.approx(0.01, abs=5e-4)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_gap_is_that_to_the_nearest_of_all(seed: int) -> None:
     """Against all pairs: boxes about the objects, which may lie in each other, leave none out."""
     rng = np.random.default_rng(seed)
-    places = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 0.8], (6, 3))
+    places = rng.uniform([-0.1, -0.1, 0.1], [0.1, 0.1, 0.3], (4, 3))
     objects = [box(k, at=at, R=rotation_about(rng.normal(size=3), 1.0)) for k, at in enumerate(places)]
     points = [
         np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects
     ]
+    trees = {k: KDTree(p) for k, p in enumerate(points)}
     for gap, own in zip(gaps_of(objects), points, strict=True):
-        between = {k: KDTree(p).query(own[::7])[0].min() for k, p in enumerate(points) if k != gap.id}
-        between[GROUND] = own[:, 2].min()
+        between = {GROUND: own[:, 2].min()}
+        others = (k for k in trees if k != gap.id)
+        between |= {k: trees[k].query(own[::7], distance_upper_bound=between[GROUND])[0].min() for k in others}
         assert (gap.nearest, gap.distance) == min(between.items(), key=lambda item: item[1])
 
 
