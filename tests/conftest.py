@@ -33,13 +33,16 @@ hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("search", deadline=None, max_examples=1000)
 hypothesis.settings.load_profile("same")
 
-from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, whole  # noqa: E402, F401
+from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, tiny, whole  # noqa: E402, F401
 from processor_time import pytest_runtest_setup, pytest_runtest_teardown  # noqa: E402, F401
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests begin first: at the end of a run, one process would wait for the other's."""
-    items.sort(key=lambda item: (item.get_closest_marker("slow") is None, item.path))
+    """The longest tests begin first: at the end of a run, one process would wait for the other's.
+
+    Tests of networks stay together: one process imports PyTorch."""
+    first = ("slow", "models")
+    items.sort(key=lambda item: ([item.get_closest_marker(mark) is None for mark in first], item.path))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -62,6 +65,12 @@ def pytest_collection() -> Generator[None, object, object]:
         # A twentieth of the time went into looking for cycles after every 700 objects; arrays are in none.
         gc.set_threshold(100_000, 20, 100)
         gc.enable()
+
+
+def pytest_sessionfinish() -> None:
+    """Look for cycles once, without what stays: pytest does it five times."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -81,6 +83,12 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
 def whole(given: inputs.Inputs, stages: Store) -> Reconstruction:
     """``given`` after all stages."""
     return reconstruct(given, store=stages)
+
+
+@pytest.fixture(scope="session")
+def tiny() -> ModuleType:
+    """PyTorch as all tests of networks have it, whichever comes first."""
+    return importlib.import_module("tiny_models")
 
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def chair() -> Mesh:
 def box_mesh(size: Sequence[float] = (0.1, 0.1, 0.1), *, textured: bool = False) -> Mesh:
     """A closed box (12 faces) centred at the origin; ``textured``: a texture, vertices split."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(size) / 2
-    hull = ConvexPart.hull_of(corners)
+    hull = _hull(corners.tobytes())
     if not textured:
         return Mesh(vertices=hull.vertices, faces=hull.faces)
     faces = np.arange(36, dtype=np.int32).reshape(-1, 3)
@@ -73,10 +74,16 @@ def box(
         mesh=mesh,
         T_world_object=pose(R, at),
         scale=scale,
-        parts=(ConvexPart.hull_of(mesh.vertices),),
+        parts=(_hull(mesh.vertices.tobytes()),),
         supports=(Support(id=GROUND),),
         supported_by=GROUND,
     )
+
+
+@cache
+def _hull(points: bytes) -> ConvexPart:
+    """The hull of the points (n, 3) of a box: many tests ask for few boxes."""
+    return ConvexPart.hull_of(np.frombuffer(points).reshape(-1, 3))
 
 
 def scene_of(*objects: SceneObject) -> Scene:

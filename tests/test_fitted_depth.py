@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import EstimatedGeometry, GeometryEstimator, KnownFocal, PromptedImage
 from f3sr.backends.registry import Backend
@@ -24,7 +23,10 @@ from f3sr.neural.pixel_rays import rays
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Instance, Photo
 from folders import write_folder
+from lazily import WITH_MODELS, Lazily
 
+tiny = Lazily("tiny_models")
+pytestmark = WITH_MODELS
 W, H, F = 96, 64, 90.0
 K = np.array([[F, 0, W / 2], [0, F, H / 2], [0, 0, 1]])
 
@@ -162,7 +164,7 @@ def test_the_unit_of_relative_depths_is_the_camera_height_that_is_given(tmp_path
     def read(hints: PhotoHints, *, metric: bool = False) -> Inputs:
         return read_inputs(
             tmp_path / "in",
-            ignore=["geometry", "assets"],
+            ignore=["geometry"],
             fillers=Fillers(geometry=backend(metric=metric)),
             hints=hints,
         )

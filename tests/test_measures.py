@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrics.measures import (
+    SAMPLES,
     Measures,
     full_silhouette,
     gaps_of,
@@ -22,7 +24,7 @@ from f3sr.metrics.measures import (
     proxy_distances,
     visible_ious,
 )
-from f3sr.scene import Excluded, Photo, Scene
+from f3sr.scene import GROUND, Excluded, Photo, Scene
 from scenes import ball_mesh, box, scene_of
 
 
@@ -95,6 +97,23 @@ def test_a_cap_that_sticks_out_is_told_however_small_it_is() -> None:
     o = replace(box(1, at=(0, 0, 0.1)), mesh=ball, parts=(ConvexPart.hull_of(low),))
     assert np.mean(ball.vertices[:, 2] > 0.04) < 0.25
     assert proxy_distances(o)[0] * o.size == pytest.approx(0.01, abs=5e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gap_is_that_to_the_nearest_of_all(seed: int) -> None:
+    """Against all pairs: boxes about the objects, which may lie in each other, leave none out."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform([-0.1, -0.1, 0.1], [0.1, 0.1, 0.3], (4, 3))
+    objects = [box(k, at=at, R=rotation_about(rng.normal(size=3), 1.0)) for k, at in enumerate(places)]
+    points = [
+        np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects
+    ]
+    trees = {k: KDTree(p) for k, p in enumerate(points)}
+    for gap, own in zip(gaps_of(objects), points, strict=True):
+        between = {GROUND: own[:, 2].min()}
+        others = (k for k in trees if k != gap.id)
+        between |= {k: trees[k].query(own[::7], distance_upper_bound=between[GROUND])[0].min() for k in others}
+        assert (gap.nearest, gap.distance) == min(between.items(), key=lambda item: item[1])
 
 
 def test_a_gap_leads_from_the_one_to_the_other() -> None:

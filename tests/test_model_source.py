@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.errors import F3srError, InputError
 from f3sr.neural import model_loading
@@ -16,6 +15,10 @@ from f3sr.neural.depth_maps import DepthAnythingNetwork
 from f3sr.neural.lama import LamaCompleter
 from f3sr.neural.sam2 import Sam2Segmenter
 from f3sr.scene import Photo
+from lazily import WITH_MODELS, Lazily
+
+tiny = Lazily("tiny_models")
+pytestmark = WITH_MODELS
 
 
 @pytest.fixture(autouse=True)

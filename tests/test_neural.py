@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import GeneratedAsset, KnownFocal, Prompt, PromptedImage
 from f3sr.cli.main import main
@@ -28,10 +27,12 @@ from f3sr.scene import Photo
 from f3sr.segmentation.ownership import bounds
 from f3sr.segmentation.selection_json import read_selection
 from folders import write_folder
-from tiny_models import changed, logits, planted, torch
+from lazily import TORCHVISION, WITH_MODELS, Lazily
 
+tiny = Lazily("tiny_models")
+pytestmark = WITH_MODELS
 W, H = 80, 60
-oracle = pytest.mark.skipif(not tiny.TORCHVISION, reason="the library's processor needs torchvision==0.28.0")
+oracle = pytest.mark.skipif(not TORCHVISION, reason="the library's processor needs torchvision==0.28.0")
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_masks_are_those_of_the_librarys_processor(segmenters: dict[str, Any], n
     inputs = theirs(images=Image.fromarray(shown.rgb), input_boxes=[[box]], return_tensors="pt")
     ours = stretched(shown, side, segmenter.spread, antialias=True)
     assert (ours - inputs["pixel_values"]).abs().max() < 1e-5
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = model(**inputs, multimask_output=False)
     (masks,) = theirs.post_process_masks(out.pred_masks, inputs["original_sizes"])
     (mine,) = segmenter.segment(shown, [Prompt(box=tuple(box))])
@@ -122,9 +123,9 @@ def test_a_planted_square_lands_at_its_pixels(segmenters: dict[str, Any], name: 
         low = square if way == "as it is" else square[::-1, ::-1]
 
         def answer(inputs: Any, out: Any, low: NDArray[np.bool_] = low) -> Any:
-            return changed(out, pred_masks=logits(low)[None, None, None])
+            return tiny.changed(out, pred_masks=tiny.logits(low)[None, None, None])
 
-        with planted(segmenter, segmenter.model_class, answer):
+        with tiny.planted(segmenter, segmenter.model_class, answer):
             (masks[way],) = segmenter.segment(shown, PROMPTS[:1])
     rows, columns = np.nonzero(masks["as it is"])
     assert abs(rows.min() - 16 * height / n) <= 0.5 * height / n
@@ -142,7 +143,7 @@ def test_prompts_reach_the_network_in_its_own_pixels(segmenters: dict[str, Any])
         return out
 
     prompt = Prompt(box=(20, 15, 60, 45), inside=(((40, 30),),), outside=(((80, 60),),))
-    with planted(segmenter, "Sam2Model", answer):
+    with tiny.planted(segmenter, "Sam2Model", answer):
         segmenter.segment(photo(), [prompt])
     np.testing.assert_allclose(seen[0]["input_boxes"], [[[64, 64, 192, 192]]], rtol=1e-6)
     np.testing.assert_allclose(seen[0]["input_points"], [[[[128, 128], [256, 256]]]], rtol=1e-6)
@@ -166,7 +167,7 @@ def test_half_precision_runs_and_is_told(segmenters: dict[str, Any], name: str):
     half = type(full)(choice(Path(full.name), precision="bfloat16"))
     assert half.provenance["precision"] == "bfloat16"
     assert [m.shape for m in half.segment(photo(), PROMPTS)] == [(H, W)] * 5
-    assert half.transformer(half.model_class).dtype == torch.bfloat16
+    assert half.transformer(half.model_class).dtype == tiny.torch.bfloat16
 
 
 # --- detectors ----------------------------------------------------------------------------------------------------
@@ -179,12 +180,12 @@ def worded(folder: Path) -> sam3.Sam3Detector:
 
 def instances(boxes: Sequence[Sequence[float]], scores: Sequence[float], masks: Sequence[NDArray[np.bool_]]) -> Any:
     """An output of SAM 3 with some instances."""
-    odds = torch.logit(torch.tensor([list(scores)], dtype=torch.float32))
+    odds = tiny.torch.logit(tiny.torch.tensor([list(scores)], dtype=tiny.torch.float32))
     return {
         "pred_logits": odds,
-        "presence_logits": torch.full((1, 1), 50.0),
-        "pred_boxes": torch.tensor([[list(box) for box in boxes]], dtype=torch.float32),
-        "pred_masks": torch.stack([logits(m) for m in masks])[None],
+        "presence_logits": tiny.torch.full((1, 1), 50.0),
+        "pred_boxes": tiny.torch.tensor([[list(box) for box in boxes]], dtype=tiny.torch.float32),
+        "pred_masks": tiny.torch.stack([tiny.logits(m) for m in masks])[None],
     }
 
 
@@ -196,9 +197,9 @@ def test_sam3_gives_planted_instances_with_box_and_mask(worded: sam3.Sam3Detecto
     def answer(inputs: Any, out: Any) -> Any:
         asked.append(int(inputs["input_ids"].sum()))
         boxes = [(0.125, 0.25, 0.375, 0.5), (0.6, 0.6, 1.2, 0.9), (0, 0, 1, 1), (0, 0, 1, 1)]
-        return changed(out, **instances(boxes, [0.9, 0.8, 0.9, 0.2], [left, right, none, left]))
+        return tiny.changed(out, **instances(boxes, [0.9, 0.8, 0.9, 0.2], [left, right, none, left]))
 
-    with planted(worded, "Sam3Model", answer):
+    with tiny.planted(worded, "Sam3Model", answer):
         found = worded.detect(photo(), ["red mug", "plate"])
     assert [d.label for d in found] == ["red mug"] * 2 + ["plate"] * 2 and len(set(asked)) == 2
     assert found[0].score == pytest.approx(0.9) and found[0].box == pytest.approx((10, 15, 30, 30))
@@ -228,7 +229,7 @@ def test_sam3_finds_what_the_librarys_processor_finds(worded: sam3.Sam3Detector,
     pictures = tiny.t.Sam3ImageProcessor(size={"height": 112, "width": 112})
     processor = tiny.t.Sam3Processor(pictures, tiny.clip_tokenizer())
     inputs = processor(images=Image.fromarray(shown.rgb), text="red mug", return_tensors="pt")
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = worded.transformer("Sam3Model")(
             pixel_values=inputs["pixel_values"],
             input_ids=inputs["input_ids"],
@@ -255,9 +256,9 @@ def test_the_ground_is_the_largest_surface(folder: Path, worded: sam3.Sam3Detect
         surface = np.zeros((16, 16), bool)
         surface[(12, 8, 14)[len(seen)] :] = True
         seen.append(1)
-        return changed(out, semantic_seg=logits(surface)[None, None])
+        return tiny.changed(out, semantic_seg=tiny.logits(surface)[None, None])
 
-    with planted(ground, "Sam3Model", answer):
+    with tiny.planted(ground, "Sam3Model", answer):
         mask = ground.ground(photo())
     assert len(seen) == len(sam3.SURFACES)
     assert np.flatnonzero(mask.any(1))[0] == H // 2 and mask[H // 2 :].all() and not mask[: H // 2].any()
@@ -269,7 +270,7 @@ def test_grounding_dino_gives_boxes_of_the_librarys_processor(folder: Path, monk
     processor = tiny.t.AutoProcessor.from_pretrained(folder / "gd", backend="pil")
     shown = photo(90, 50)
     inputs = processor(images=Image.fromarray(shown.rgb), text=[["Red mug"]], return_tensors="pt")
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = detector.transformer("GroundingDinoForObjectDetection")(**inputs)
     (theirs,) = processor.post_process_grounded_object_detection(
         out, inputs["input_ids"], threshold=0.0, text_threshold=0.0, target_sizes=[(50, 90)]
@@ -289,7 +290,7 @@ def test_owlv2_gives_boxes_of_the_padded_square(folder: Path, monkeypatch: pytes
     shown = photo(90, 50)
     words = ["a photo of a mug", "a photo of a plate"]
     inputs = processor(images=Image.fromarray(shown.rgb), text=[words], return_tensors="pt", max_length=40)
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = detector.transformer("Owlv2ForObjectDetection")(**inputs)
     (theirs,) = processor.post_process_grounded_object_detection(
         out, threshold=0.0, target_sizes=[(50, 90)], text_labels=[["mug", "plate"]]
@@ -300,13 +301,13 @@ def test_owlv2_gives_boxes_of_the_padded_square(folder: Path, monkeypatch: pytes
     assert theirs["boxes"].max() > 50 and 0 < inside.sum() == len(ours)
     np.testing.assert_allclose([d.box for d in ours], clipped[inside], atol=1e-2)
     assert [d.label for d in ours] == [x for x, k in zip(theirs["text_labels"], inside, strict=True) if k]
-    box = torch.tensor([[[0.25, 0.125, 0.5, 0.25]]])
-    odds = torch.tensor([[[-5.0, 5.0]]])
+    box = tiny.torch.tensor([[[0.25, 0.125, 0.5, 0.25]]])
+    odds = tiny.torch.tensor([[[-5.0, 5.0]]])
 
     def answer(inputs: Any, out: Any) -> Any:
-        return changed(out, pred_boxes=box, logits=odds)
+        return tiny.changed(out, pred_boxes=box, logits=odds)
 
-    with planted(detector, "Owlv2ForObjectDetection", answer):
+    with tiny.planted(detector, "Owlv2ForObjectDetection", answer):
         (d,) = detector.detect(photo(80, 160), ["mug", "plate"])
     assert d.label == "plate" and d.box == (0, 0, 80, 40)
 
@@ -333,15 +334,15 @@ def test_the_ground_is_the_largest_class_of_a_surface(folder: Path, name: str):
         parts = inputs["pixel_values"].shape[0]
         maps = np.zeros((3, n, n), bool)
         maps[0, :8], maps[1, 8:, :4], maps[2, 8:, 4:] = True, True, True
-        classes = torch.full((parts, 10, 4), -20.0)
-        queries = torch.full((parts, 10, n, n), -20.0)
+        classes = tiny.torch.full((parts, 10, 4), -20.0)
+        queries = tiny.torch.full((parts, 10, n, n), -20.0)
         for k in range(3):
             classes[:, k, k] = 20.0
-            queries[:, k] = logits(maps[k], 20.0)
+            queries[:, k] = tiny.logits(maps[k], 20.0)
         classes[:, 3:, 3] = 20.0
-        return changed(out, class_queries_logits=classes, masks_queries_logits=queries)
+        return tiny.changed(out, class_queries_logits=classes, masks_queries_logits=queries)
 
-    with planted(ground, ground.model_class, answer):
+    with tiny.planted(ground, ground.model_class, answer):
         mask = ground.ground(photo(64, 64))
     expected = np.zeros((64, 64), bool)
     expected[32:, 16:] = True
@@ -371,7 +372,7 @@ def test_depth_anything_is_that_of_the_librarys_processor(folder: Path, kind: st
     processor = tiny.t.AutoImageProcessor.from_pretrained(folder / kind, backend="pil")
     shown = photo(90, 50)
     inputs = processor(images=Image.fromarray(shown.rgb), return_tensors="pt")
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = network.transformer("AutoModelForDepthEstimation")(**inputs)
     (theirs,) = processor.post_process_depth_estimation(out, target_sizes=[(50, 90)])
     ours = network.predict(shown)
@@ -387,7 +388,7 @@ def test_dpt_is_relative(folder: Path):
 def test_a_map_is_resized_about_pixel_centres():
     """A ramp of a coarse grid is the same ramp at the photo's pixels, away from its border."""
     n = 16
-    ramp = torch.from_numpy(np.tile((np.arange(n) + 0.5) / n, (n, 1)).astype(np.float32))
+    ramp = tiny.torch.from_numpy(np.tile((np.arange(n) + 0.5) / n, (n, 1)).astype(np.float32))
     for mode, error in (("bilinear", 1e-5), ("bicubic", 0.0031)):  # torch's cubic keeps no ramp exactly
         fine = at_photo(ramp, photo(), mode)
         inner = slice(W // 8, -W // 8)
@@ -402,13 +403,15 @@ def pro(folder: Path) -> depth_pro.DepthProGeometry:
 def plant_depth(fov: float, inverse: float = 0.5) -> Any:
     def answer(inputs: Any, out: Any) -> Any:
         assert inputs["pixel_values"].shape[-2:] == (tiny.DEPTH_PRO_SIDE,) * 2
-        return changed(out, predicted_depth=torch.full((1, 32, 32), inverse), field_of_view=torch.tensor([fov]))
+        return tiny.changed(
+            out, predicted_depth=tiny.torch.full((1, 32, 32), inverse), field_of_view=tiny.torch.tensor([fov])
+        )
 
     return answer
 
 
 def test_depth_pro_gives_planted_field_of_view_and_depth(pro: depth_pro.DepthProGeometry):
-    with planted(pro, "DepthProForDepthEstimation", plant_depth(60.0)):
+    with tiny.planted(pro, "DepthProForDepthEstimation", plant_depth(60.0)):
         found = pro.estimate(image())
     f = W / 2 / math.tan(math.radians(30))
     np.testing.assert_allclose(found.K, [[f, 0, W / 2], [0, f, H / 2], [0, 0, 1]], rtol=1e-6)
@@ -421,7 +424,7 @@ def test_depth_pro_gives_planted_field_of_view_and_depth(pro: depth_pro.DepthPro
 
 
 def test_depth_pro_takes_a_known_focal_length(pro: depth_pro.DepthProGeometry):
-    with planted(pro, "DepthProForDepthEstimation", plant_depth(60.0)):
+    with tiny.planted(pro, "DepthProForDepthEstimation", plant_depth(60.0)):
         found = pro.estimate(image(focal=2 * W))
     assert found.K[0, 0] == 2 * W and "--focal" in found.told
     np.testing.assert_allclose(found.points[..., 2], 2 / 0.5, rtol=1e-5)
@@ -429,7 +432,10 @@ def test_depth_pro_takes_a_known_focal_length(pro: depth_pro.DepthProGeometry):
 
 @pytest.mark.parametrize("fov", [-0.7, 0.0, 180.0, math.nan])
 def test_depth_pro_refuses_a_field_of_view_that_no_lens_has(pro: depth_pro.DepthProGeometry, fov: float):
-    with planted(pro, "DepthProForDepthEstimation", plant_depth(fov)), pytest.raises(InputError, match="field of view"):
+    with (
+        tiny.planted(pro, "DepthProForDepthEstimation", plant_depth(fov)),
+        pytest.raises(InputError, match="field of view"),
+    ):
         pro.estimate(image())
 
 
@@ -441,16 +447,16 @@ def test_depth_pro_is_that_of_the_librarys_processor(pro: depth_pro.DepthProGeom
     inputs = processor(images=Image.fromarray(shown.rgb), return_tensors="pt")
     assert (stretched(shown, side, HALF, antialias=False) - inputs["pixel_values"]).abs().max() < 1e-5
     model = pro.transformer("DepthProForDepthEstimation")
-    with torch.inference_mode():
+    with tiny.torch.inference_mode():
         out = model(**inputs)
     positive = out.predicted_depth.abs() + 0.1
-    fixed = SimpleNamespace(predicted_depth=positive, field_of_view=torch.tensor([50.0]))
+    fixed = SimpleNamespace(predicted_depth=positive, field_of_view=tiny.torch.tensor([50.0]))
     (theirs,) = processor.post_process_depth_estimation(fixed, target_sizes=[(50, 90)])
 
     def answer(inputs: Any, out: Any) -> Any:
-        return changed(out, predicted_depth=positive, field_of_view=torch.tensor([50.0]))
+        return tiny.changed(out, predicted_depth=positive, field_of_view=tiny.torch.tensor([50.0]))
 
-    with planted(pro, "DepthProForDepthEstimation", answer):
+    with tiny.planted(pro, "DepthProForDepthEstimation", answer):
         ours = pro.estimate(image(shown))
     np.testing.assert_allclose(ours.points[..., 2], theirs["predicted_depth"].numpy(), rtol=1e-4)
     assert ours.K[0, 0] == pytest.approx(float(theirs["focal_length"]), rel=1e-5)
@@ -485,7 +491,7 @@ def test_moge_points_project_to_their_pixels_and_normals_face_the_camera(folder:
     def infer(pixels: Any, **more: Any) -> dict[str, Any]:
         told.update(more, shape=tuple(pixels.shape), most=float(pixels.max()))
         values = {"points": points, "normal": normal, "mask": mask, "intrinsics": np.array(K, np.float32)}
-        return {k: torch.from_numpy(v) for k, v in values.items()}
+        return {k: tiny.torch.from_numpy(v) for k, v in values.items()}
 
     geometry = moge_points.MogeGeometry()
     monkeypatch.setattr(geometry, "loaded", lambda make: SimpleNamespace(infer=infer))
@@ -515,7 +521,7 @@ def test_lama_changes_the_hole_only(folder: Path, width: int, height: int):
 
 def test_lama_with_another_answer_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
     completer = lama.LamaCompleter(choice(tiny.lama(folder / "lama.pt")))
-    for answer in (torch.zeros(1, 3, 8, 8), torch.full((1, 3, 64, 80), math.nan), "no tensor"):
+    for answer in (tiny.torch.zeros(1, 3, 8, 8), tiny.torch.full((1, 3, 64, 80), math.nan), "no tensor"):
         monkeypatch.setattr(completer, "loaded", lambda make, answer=answer: lambda *a: answer)
         with pytest.raises(InputError, match="as LaMa gives it"):
             completer.complete(photo(), np.ones((H, W), bool), None)
@@ -585,22 +591,22 @@ def test_planted_masks_geometry_and_meshes_give_the_package_of_the_folder(
         tokens = asked["input_ids"][0][asked["attention_mask"][0].bool()].tolist()
         label = words.get(tuple(tokens))
         if label is None:
-            return changed(out, semantic_seg=logits(ground)[None, None])
+            return tiny.changed(out, semantic_seg=tiny.logits(ground)[None, None])
         box = np.array(bounds(masks[label])) / size
-        return changed(out, **instances([box], [0.9], [masks[label]]))
+        return tiny.changed(out, **instances([box], [0.9], [masks[label]]))
 
     def infer(pixels: Any, **more: Any) -> dict[str, Any]:
         points, valid = given.geometry.points, given.geometry.valid
         normalised = given.K / [[given.photo.width], [given.photo.height], [1]]
         values = {"points": points, "mask": valid, "intrinsics": normalised}
-        return {k: torch.from_numpy(np.array(v)) for k, v in values.items()}
+        return {k: tiny.torch.from_numpy(np.array(v)) for k, v in values.items()}
 
     monkeypatch.setattr(moge_points.MogeGeometry, "loaded", lambda self, make: SimpleNamespace(infer=infer))
     shown = tmp_path / "photo.png"
     shown.write_bytes((tmp_path / "given" / "image.png").read_bytes())
     arguments = ["photo", str(shown), "-o", str(tmp_path / "B"), "--no-open", "--json", "--geometry", "moge"]
     arguments += ["--assets", "given", "--ground-segmenter", f"sam3:{place}"]
-    with planted(detector, "Sam3Model", answer):
+    with tiny.planted(detector, "Sam3Model", answer):
         assert main([*arguments, "--segment", f"sam3:{place}", ", ".join(masks)]) == 0
     second = json.loads(capsys.readouterr().out)["f3sr"]
     assert abs(first["mIoU_visible"] - second["mIoU_visible"]) < 0.01

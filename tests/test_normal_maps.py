@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import KnownFocal, PromptedImage
 from f3sr.core.transforms import Array
@@ -23,8 +22,10 @@ from f3sr.neural.normal_maps import DsineNetwork, NormalNetwork, OmnidataNetwork
 from f3sr.neural.pixel_rays import rays
 from f3sr.scene import Photo
 from folders import camera, write_folder
-from tiny_models import torch
+from lazily import WITH_MODELS, Lazily
 
+tiny = Lazily("tiny_models")
+pytestmark = WITH_MODELS
 SIZES = [(96, 64), (64, 96), (384, 288), (701, 403), (50, 50)]
 
 
@@ -105,7 +106,7 @@ def test_random_weights_answer_and_a_photo_is_asked_once(tmp_path: Path, monkeyp
 
 
 def answer(change: Callable[[Any], Any]) -> Any:
-    values = torch.zeros(1, 3, 384, 384)
+    values = tiny.torch.zeros(1, 3, 384, 384)
     values[:, 0], values[:, 1], values[:, 2] = 0.5, 0.1, 0.2
     return tiny.Constant(change(values))
 
@@ -210,8 +211,8 @@ def test_swapped_axes_are_refused(tmp_path: Path):
     """Depth first: no signs make that follow the points."""
     painted(tmp_path / "in", np.ones(3))
 
-    class Swapped(torch.nn.Module):
-        def forward(self, image: torch.Tensor) -> torch.Tensor:
+    class Swapped(tiny.torch.nn.Module):
+        def forward(self, image):
             return image[:, [2, 0, 1]]
 
     backend = NORMAL_ESTIMATORS.find(f"omnidata:{tiny.script(Swapped(), tmp_path / 'swapped.pt')}")

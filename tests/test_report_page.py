@@ -137,8 +137,8 @@ def test_numbers_are_those_of_the_evaluation(result: Reconstruction, text: str):
     assert html.unescape(section).count(fitted.decision.reason.replace(" -> ", " → ")) == 1
 
 
-def test_a_result_that_was_not_aligned_has_a_second_column_of_its_own(given: inputs.Inputs):
-    result = reconstruct(given, skip=["align", "settle", "refine"])
+def test_a_result_that_was_not_aligned_has_a_second_column_of_its_own(given: inputs.Inputs, stages: Store):
+    result = reconstruct(given, skip=["align", "settle", "refine"], store=stages)
     text = report_page(result).decode()
     section = text[text.index('id="measures"') : text.index('id="compare"')]
     assert section.count("fitted <data") == 2 * len(IMAGE_MEASURES)

@@ -243,7 +243,7 @@ def test_samples_rest_and_meet_the_masks_and_repeat(pile: Scene):
         assert s.measures.D_max_cm <= 0.1
     places = [[o.T_world_object for o in s.scene] for s in samples]
     assert np.ptp(np.array(places), axis=0).max() > 1e-5
-    again = [[o.T_world_object for o in s.scene] for s in drawn(0, 1)]
+    again = [[o.T_world_object for o in s.scene] for s in drawn(0, 2)]
     np.testing.assert_array_equal(places[: len(again)], again)
     assert again and not np.array_equal(places[0], [o.T_world_object for o in drawn(1, 1)[0].scene])
 

@@ -128,13 +128,13 @@ def test_a_worker_that_dies_is_resumed(
     ],
 )
 def test_a_worker_beyond_its_limits_is_ended(
-    worker: Worker, given: Inputs, image: PromptedImage, fault: str, limits: WorkerLimits, told: str
+    worker: Worker, source: Path, given: Inputs, image: PromptedImage, fault: str, limits: WorkerLimits, told: str
 ):
     began = time.monotonic()
     with pytest.raises(WorkerError, match=told):
         worker(fault=fault, at=2, limits=limits).produce(image, given.geometry, given.K)
     assert time.monotonic() - began < 20
-    wait_for(lambda: not running())  # also those of a test beside this one
+    assert not running(source)
 
 
 def test_chatter_is_read_and_ignored(worker: Worker, given: Inputs, image: PromptedImage):
@@ -147,10 +147,10 @@ def test_a_worker_ends_with_f3sr(source: Path, tmp_path: Path, jobs: Path):
     arguments = [sys.executable, "-m", "f3sr", "reconstruct", str(source), "-o", str(tmp_path / "out")]
     process = forked.Popen([*arguments, "--ignore", "assets", "--assets", f"worker:{hanging}"])
     try:
-        wait_for(running)
+        wait_for(lambda: running(source))
         process.kill()
         process.wait()
-        wait_for(lambda: not running())
+        wait_for(lambda: not running(source))
     finally:
         process.kill()
 
@@ -198,15 +198,16 @@ def test_doctor_tells_what_a_worker_needs(monkeypatch: pytest.MonkeyPatch):
     assert need.met
 
 
-def running() -> list[int]:
-    """Process ids of scripted workers that run."""
+def running(source: Path) -> list[int]:
+    """Process ids of scripted workers that run on a folder: tests beside this one have workers of their own."""
     found = list[int]()
     for place in Path("/proc").glob("[0-9]*"):
         try:
             words = (place / "cmdline").read_bytes().split(b"\0")
         except OSError:
             continue
-        if bytes(SCRIPT) in words and b"worker_launcher.py" not in b" ".join(words[:3]) and b"--job" in words:
+        launches = b"worker_launcher.py" in b" ".join(words[:3])
+        if {bytes(SCRIPT), bytes(source), b"--job"} <= {*words} and not launches:
             found.append(int(place.name))
     return found
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,16 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-os.environ["HF_HUB_OFFLINE"] = "1"
-os.environ["HF_HUB_DISABLE_TELEMETRY"] = "1"
+from lazily import TORCHVISION
+
 torch = pytest.importorskip("torch", reason="pip install 'f3sr[models]'")
 
 
-def with_torchvision() -> bool:
-    """Whether torchvision, the oracle of processors that need it, can be imported. Its wheels want CUDA: beside a torch
-    for CPUs their operators have to be declared first. Back ends never need it."""
-    if importlib.util.find_spec("torchvision") is None:
-        return False
+def import_torchvision() -> None:
+    """Its wheels want CUDA: beside a torch for CPUs their operators have to be declared first."""
     try:
         importlib.import_module("torchvision")
     except RuntimeError:
@@ -36,7 +32,6 @@ def with_torchvision() -> bool:
         for schema in OPERATORS:
             LIBRARY.define(schema)
         importlib.import_module("torchvision")
-    return True
 
 
 LIBRARY = torch.library.Library("torchvision", "FRAGMENT")
@@ -52,7 +47,8 @@ OPERATORS = (
     *(f"_{name}_backward(Tensor x) -> Tensor" for name in ("roi_align", "roi_pool", "ps_roi_align", "ps_roi_pool")),
     "_deform_conv2d_backward(Tensor x) -> Tensor",
 )
-TORCHVISION = with_torchvision()
+if TORCHVISION:
+    import_torchvision()
 t = pytest.importorskip("transformers", reason="pip install 'f3sr[models]'")
 
 torch.set_num_threads(1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.surface_samples import sample_surface
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of
 from f3sr.metrics import penetration
 from f3sr.metrics.point_in_mesh import union_distance, winding_number
 from f3sr.physics import release
@@ -23,6 +23,8 @@ Point = tuple[float, float, float]
 """A place in the world [m]."""
 SAMPLES = 20_000
 """Surface points per object for gaps."""
+ROUNDING = 1e-9
+"""Share by which the computed distance of two boxes may exceed that of points in them."""
 IMAGE_MEASURES = ("mIoU", "mIoU_visible", "PSNR")
 """Those that depend on the camera; all others do not."""
 PART_SAMPLES = 600
@@ -262,19 +264,24 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
     points = [
         np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects
     ]
-    trees = [KDTree(p) for p in points]
+    boxes = [bounds_of(p) for p in points]
+    trees = dict[int, KDTree]()
     gaps: list[Gap] = []
     for i, (o, p) in enumerate(zip(objects, points, strict=True)):
         lowest = p[np.argmin(p[:, 2])]
         nearest, distance, start, end = GROUND, max(0.0, float(lowest[2])), lowest, lowest * [1, 1, 0]
-        for j, tree in enumerate(trees):
-            if j != i and distance > 0:
-                # Every seventh point asks, all points answer; only gaps shorter than the best so far are looked for.
-                distances, hits = tree.query(p[::7], distance_upper_bound=distance)
-                k = int(np.argmin(distances))
-                if distances[k] < distance:
-                    nearest, distance = objects[j].id, float(distances[k])
-                    start, end = p[7 * k], points[j][int(np.asarray(hits)[k])]
+        for j in range(len(objects)):
+            # Only gaps shorter than the best so far are looked for.
+            if j == i or distance == 0 or _boxes_apart(boxes[i], boxes[j]) > distance * (1 + ROUNDING):
+                continue
+            if j not in trees:
+                trees[j] = KDTree(points[j])
+            # Every seventh point asks, all points answer.
+            distances, hits = trees[j].query(p[::7], distance_upper_bound=distance)
+            k = int(np.argmin(distances))
+            if distances[k] < distance:
+                nearest, distance = objects[j].id, float(distances[k])
+                start, end = p[7 * k], points[j][int(np.asarray(hits)[k])]
         gaps.append(
             Gap(
                 id=o.id,
@@ -288,6 +295,11 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
             )
         )
     return tuple(gaps)
+
+
+def _boxes_apart(a: Array, b: Array) -> float:
+    """Distance of two boxes (2, 3), low and high."""
+    return float(np.linalg.norm(np.maximum(np.maximum(a[0] - b[1], b[0] - a[1]), 0)))
 
 
 def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
@@ -322,5 +334,6 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.colliders])
     # Only the union's own surface: faces of parts inside other parts are no surface of the proxy.
     free = samples[union_distance(samples, o.colliders) >= -1e-4 * size]
-    far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
+    tree = KDTree(surface, balanced_tree=False, compact_nodes=False)  # faster for few queries, with the same distances
+    far = float(tree.query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size

@@ -33,6 +33,8 @@ ROOM = 3
 """Pairs of a list per part; with more than that all parts are tested. Piles have one or two."""
 GROUND_GEOM = 0
 """Index of the ground."""
+SHIFT_AND_TURN = np.array([0, 3])
+"""Where the position and the quaternion of a free joint begin."""
 
 
 class NearPairs:
@@ -50,7 +52,7 @@ class NearPairs:
         self._types = [m.geom_contype, m.geom_conaffinity, m.body_contype, m.body_conaffinity]
         self._all = [array.copy() for array in self._types]
         self._may_meet = _may_meet(m)
-        self._radii = _radii(m)
+        self._reach = 2 * _radii(m)
         self._places = engine().MjData(m)
         self._listed: Array | None = None
         """Positions at which parts were listed last; None while all are tested."""
@@ -121,10 +123,10 @@ class NearPairs:
 
     def _travel(self, qpos: Array, since: Array) -> float:
         """The longest way [m] of any point of a body between two states: the shift and the chord of the turn."""
-        squares = (qpos - since).reshape(-1, 7) ** 2
+        squares = np.square(qpos - since).reshape(-1, 7)
         # |q - q'| of unit quaternions is twice the sine of a quarter of the turn: the chord is at most twice that.
-        shift, turn = np.sqrt(np.add.reduceat(squares, (0, 3), axis=1)).T
-        return float((shift + 2 * self._radii * turn).max(initial=0.0))
+        ways = np.sqrt(np.add.reduceat(squares, SHIFT_AND_TURN, axis=1))
+        return float(np.maximum.reduce(ways[:, 0] + self._reach * ways[:, 1], initial=0.0))
 
 
 def _may_meet(m: MjModel) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -209,14 +210,15 @@ class _Settling:
         when a body creeps: then the travels are those foreseen for all of the time."""
         engine().mj_forward(self._model, data)
         seen = [Snapshot.of(data)]
-        drifts = np.zeros(self._model.nbody - 1)
+        squares, drifts = np.zeros(self._model.nbody), np.zeros(self._model.nbody - 1)
         windows = max(1, round(seconds / self.config.rest.window))
         while len(seen) <= windows and not self.unwanted:
             for _ in range(self._window):
                 self._step(data, 1.0)
                 way = data.xipos - seen[0].centers
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
-                drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
+                squares = np.maximum(squares, np.add.reduce(way * way, axis=1))
+            drifts = np.sqrt(squares[1:])
             seen.append(Snapshot.of(data))
             if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
@@ -239,10 +241,12 @@ class _Settling:
     def _step(self, data: MjData, damping: float) -> None:
         """One step, noting the largest speed; ``cvel`` is (angular, linear) at each free body's centre of mass."""
         self.near.step(data)
-        data.qvel *= damping
-        speed = float(np.linalg.norm(data.cvel[:, 3:], axis=1).max())
+        if damping != 1:
+            data.qvel *= damping
+        linear = data.cvel[:, 3:]
+        speed = math.sqrt(np.maximum.reduce(np.add.reduce(linear * linear, axis=1)))
         self.max_speed = max(self.max_speed, speed)
-        self.exploded = self.exploded or not np.isfinite(speed)
+        self.exploded = self.exploded or not math.isfinite(speed)
 
     def _slow(self, before: Snapshot, after: Snapshot) -> bool:
         """True when every body's mean speeds between two snapshots, one window apart, are below both limits."""

@@ -1,6 +1,6 @@
 """Whether the 90 % intervals of packages hold the truth: middle along and across the viewing ray, yaw, tilt and size.
 
-usage: coverage.py PACKAGES INPUTS [OBJECTS] [-- PACKAGES INPUTS [OBJECTS] ...]
+usage: interval_coverage.py PACKAGES INPUTS [OBJECTS] [-- PACKAGES INPUTS [OBJECTS] ...]
 PACKAGES holds packages named as the folders of INPUTS, or as their beginning. With truth.json, OBJECTS holds the meshes
 that it names. With truth_points.npz yaw and tilt are not known.
 Exit codes: 0 COVERED of every quantity, over all families, 1 not so.
