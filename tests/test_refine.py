@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,12 +33,19 @@ def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
     return scene.with_objects(*moved)
 
 
+def in_vain(before: Scene, _: Collection[int], **_others: object) -> SettledScene:
+    return SettledScene(scene=before, restless=frozenset())
+
+
+unbalanced = partial(refine, balanced=in_vain)
+
+
 def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
     def again(_: Scene, ids: Collection[int], **_others: object) -> SettledScene:
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    return refine(
+    return unbalanced(
         start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again, restless=before
     )[0]
 
@@ -81,7 +89,9 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = refine(start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again)
+    after, outcome = unbalanced(
+        start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again
+    )
     assert calls == [[0, 1], [0]]
     assert [d.choice.rsplit(": ")[-1] for d in outcome.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
@@ -99,7 +109,7 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
         asked.append((start, ids, moving))
         return SettledScene(scene=start, restless=frozenset())
 
-    refine(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=stood_up)
+    unbalanced(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=stood_up)
     [(scene, ids, moving)] = asked
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
 
@@ -131,7 +141,7 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
     def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, _ = refine(
+    after, _ = unbalanced(
         start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
     assert len(asked) == (helps or 1) <= RETURNS
@@ -156,7 +166,7 @@ def test_what_fell_away_is_placed_again_with_its_group(touching: Scene):
     def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, _ = refine(
+    after, _ = unbalanced(
         start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
     assert asked == [[0, 1]]
@@ -173,7 +183,7 @@ def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_f
         tried = touching if len(ids) == 1 else shifted(touching, {0: 0.0, 1: 0.2})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = refine(
+    after, outcome = unbalanced(
         start, NO_ROUND, aligned=touching, parted=start, stood_up=again, replaced=again, realigned=again
     )
     assert calls[-2:] == [[0], [1]] and [0, 1] in calls
@@ -196,7 +206,7 @@ def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touchin
         is_far = np.array_equal(scene[0].T_world_object, start[0].T_world_object)
         return SettledScene(scene=touching if is_far == far else scene, restless=frozenset())
 
-    after, outcome = refine(
+    after, outcome = unbalanced(
         start, ONCE, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
     )
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
@@ -213,7 +223,7 @@ def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: 
 
     for aligned, x in ((seen, 0.03), (touching, 0.0005)):
         start = shifted(aligned, {0: x, 1: x})
-        refine(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=realigned)
+        unbalanced(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=realigned)
 
 
 def test_a_round_without_gain_is_the_last(seen: Scene):
@@ -223,7 +233,7 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 
-    scene, outcome = refine(
+    scene, outcome = unbalanced(
         seen, RefineConfig(), aligned=seen, parted=seen, stood_up=again, replaced=again, realigned=again
     )
     assert scene is seen and len(calls) == 1
@@ -315,7 +325,7 @@ def test_after_three_that_gained_nothing_alone_the_others_are_left():
             found = [scene[id] for id in ids if len(alone) == helped]
             return SettledScene(scene=now.with_objects(*found), restless=frozenset())
 
-        refine(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
+        unbalanced(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
         return alone
 
     def never(*_: object, **_others: object) -> SettledScene:
@@ -323,3 +333,32 @@ def test_after_three_that_gained_nothing_alone_the_others_are_left():
 
     assert len(tried(helped=2)) == 5, "the second one gains, so the count begins anew"
     assert len(tried(helped=None)) == 3
+
+
+@pytest.mark.parametrize("ground", [0.0, 0.04])
+def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo_shows_it(
+    touching: Scene, ground: float
+):
+    """Also where the ground has moved since, under the camera and all objects."""
+    lower = pose(t=[0, 0, -ground])
+    moved = tuple(o.moved(lower, stage="test", reason="") for o in touching)
+    aligned = replace(touching, objects=moved, camera=touching.camera.moved(lower @ touching.camera.T_world_camera))
+    start = shifted(touching, {0: 0.06, 1: 0.06})
+
+    def balanced(before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        assert before is not start and set(ids) == moving == {0, 1}
+        return SettledScene(scene=start, restless=frozenset())
+
+    def never(*_: object, **_others: object) -> SettledScene:
+        raise AssertionError
+
+    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+        return SettledScene(scene=scene, restless=frozenset())
+
+    after, outcome = refine(
+        start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, balanced=balanced, replaced=never,
+        realigned=realigned,
+    )  # fmt: skip
+    assert outcome.decisions[0].choice == "moved to the nearest equilibrium: object 0, 1: accepted"
+    for o in after:
+        assert o.T_world_object == pytest.approx(touching[o.id].T_world_object, abs=1e-12)

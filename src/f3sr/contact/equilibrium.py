@@ -38,6 +38,8 @@ TILT = 0.02
 TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi * np.arange(3) / 3)], axis=1)
 UNBALANCED = 0.03
 """Virtual work per unbalanced weight, as a gap [m]: wider ones are not closed."""
+UNHELD = 0.01
+"""Unbalanced weight from which on contacts below a body are sought farther away."""
 NEEDLESS = 1e-7
 """Virtual work per force, as a gap [m], so that no contact pushes without need."""
 STEP = 0.03
@@ -47,7 +49,7 @@ TURN_STEP = 0.12
 FIRST = ((1e2, 1e6),) * 4 + ((1e2, 1e7), (3e2, 1e8))
 """Steps in which deep overlap ends: rho [standard deviations squared per metre and mean weight], and the price of
 squared overlap [the same per square metre]."""
-RHOS = (1e3, 1e3, 3e3, 3e3, 1e4, 1e4, 3e4, 3e4, 1e5, 1e5, 3e5, 3e5)
+RHOS = (1e3, 1e3, 3e3, 3e3, 1e4, 1e4, 1e4, 3e4, 3e4, 3e4, 1e5, 1e5, 1e5, 3e5, 3e5, 3e5)
 """Of the other steps, in which no overlap is allowed."""
 BALANCED = 1e-5
 """Virtual work [mean weights times metres] from which on all gaps that forces need count as closed."""
@@ -115,7 +117,8 @@ class _Search:
         self.units = {id: np.linalg.inv(np.linalg.cholesky(precisions[id]).T) for id in self.ids}
         self.moves = {id: Move(T=np.eye(4), scale=1.0) for id in self.ids}
         self.x = np.zeros(PARAMETERS * len(self.ids))
-        self.hanging = list[int]()
+        self.hanging = set[int]()
+        """What some force could not hold where it was."""
 
     @property
     def cost(self) -> float:
@@ -175,7 +178,7 @@ class _Search:
             forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
             left = np.maximum(left, slack.reshape(2, rows).max(0))
             work.append(found.fun / mean)
-        self.hanging = [id for id, most in zip(self.ids, left.reshape(-1, 6).max(1), strict=True) if most > 0.01]
+        self.hanging |= {id for id, most in zip(self.ids, left.reshape(-1, 6).max(1), strict=True) if most > UNHELD}
         return forces, float(np.mean(work))
 
     def _rates(self, contacts: Contacts) -> Array:

@@ -19,10 +19,11 @@ REACH = 0.05
 ROOM = 2e-4
 """How much farther [m] than its least gap a patch of two parts reaches: curved surfaces touch in a small place."""
 FACES = 0.015
-"""The same between two faces that are nearly parallel, as a share of the smaller body's size: a small turn closes
-them."""
-PARALLEL = float(np.cos(np.radians(3)))
-"""Least cosine between two such faces."""
+"""Least room between such faces, as a share of the smaller body's size."""
+GROUND_ROOM = 0.02
+"""How much farther than its least gap a patch on the ground reaches, as a share of the body's size."""
+PARALLEL = float(np.radians(3))
+"""Largest angle [rad] between faces that a small turn may lay on each other: then their far corners count too."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,8 +88,8 @@ def _between(a: int, first: Compound, b: int, second: Compound, size: float, rea
 
 
 def _corners(a: Polytope, b: Polytope, n: Array, gap: float, size: float) -> tuple[Array, Array, Array] | None:
-    facing = min(float((a.normals @ n).max()), float((b.normals @ -n).max()))
-    shift = gap + (FACES * size if facing > PARALLEL else ROOM)
+    angle = float(np.arccos(min(1.0, (a.normals @ n).max(), (b.normals @ -n).max())))
+    shift = gap + ROOM + (size * max(FACES, np.sin(angle)) if angle < PARALLEL else 0.0)
     patch = patch_of(a, b, n, shift)
     if patch is None:
         return None
@@ -114,7 +115,7 @@ def _on_ground(bodies: Mapping[int, Compound], moving: Collection[int]) -> Itera
     for id in moving:
         size = size_of(bodies[id])
         if bodies[id].lowest <= REACH * size:
-            yield _above_ground(id, bodies[id], FACES * size)
+            yield _above_ground(id, bodies[id], size * GROUND_ROOM)
 
 
 def _above_ground(id: int, body: Compound, room: float, lift: float = 0.0) -> _Corners:
@@ -140,6 +141,6 @@ def _below(bodies: Mapping[int, Compound], id: int) -> Iterator[_Corners]:
                 points, gaps = c.points + drop * UP, c.gaps + way
                 yield _Corners(upper=id, lower=k, points=points, normal=c.normal, follow=c.follow, gaps=gaps)
     if lowered.lowest <= ROOM:
-        ground = _above_ground(id, lowered, FACES * size, lift=drop)
+        ground = _above_ground(id, lowered, size * GROUND_ROOM, lift=drop)
         points = ground.points + drop * UP
         yield _Corners(upper=id, lower=GROUND, points=points, normal=UP, follow=ground.follow, gaps=ground.gaps)

@@ -1,0 +1,142 @@
+"""The equilibrium nearest to given poses: by hand, and heaps that were disturbed from one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from bodies import block, body
+from f3sr.contact.compounds import collide
+from f3sr.contact.equilibrium import Equilibrium, nearest_equilibrium
+from f3sr.contact.least_norm import nearly, shortest
+from f3sr.contact.near_contacts import NearContacts, near_contacts
+from f3sr.contact.stability import stands
+from f3sr.contact.static_bodies import StaticBody
+from f3sr.core.pose_uncertainty import similarity
+from f3sr.core.transforms import Array, pose, rotation_about
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
+
+GAP, REACH = DEFAULT_MARGIN.clearance, DEFAULT_MARGIN.reach
+EVEN = np.diag([1e6, 1e6, 1e6, 1e4, 1e4, 1e4, 1e6])
+"""Shifts of 1 mm, turns of .01 rad and scales of .001 are one standard deviation."""
+
+
+def balanced(bodies: Sequence[StaticBody], precisions: Mapping[int, Array]) -> tuple[list[StaticBody], Equilibrium]:
+    found = nearest_equilibrium(bodies, precisions)
+    return [moved(b, found) for b in bodies], found
+
+
+def moved(b: StaticBody, found: Equilibrium) -> StaticBody:
+    if b.id not in found.moves:
+        return b
+    move = found.moves[b.id]
+    return b.moved(pose(move.scale * move.T[:3, :3], move.T[:3, 3]))
+
+
+def middle(b: StaticBody) -> Array:
+    return b.parts.bounds.mean(0)
+
+
+def test_what_hangs_comes_down_and_what_is_sunk_comes_up():
+    for height in (0.07, 0.047):
+        after, found = balanced([body(0, block(at=(0, 0, height)))], {0: EVEN})
+        assert after[0].parts.lowest == pytest.approx(GAP, abs=2e-5) and found.work < 1e-4
+
+
+def test_a_box_that_is_tilted_by_an_error_lies_down_flat():
+    tilted = block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.0517]))
+    after, _ = balanced([body(0, tilted)], {0: EVEN})
+    assert stands(after, reach=REACH)
+    assert np.ptp(after[0].parts.arrays.vertices[:, 2]) == pytest.approx(0.1, abs=2e-4)
+
+
+def test_the_support_that_is_known_worst_moves():
+    """A plank bridges two posts of which one is 3 mm too low."""
+    high, low = (
+        body(k, block((0.05, 0.05, height), at=(x, 0, height / 2 + GAP)))
+        for k, x, height in ((0, -0.15, 0.1), (1, 0.15, 0.097))
+    )
+    plank = body(2, block((0.4, 0.05, 0.02), at=(0, 0, 0.11 + 2 * GAP)))
+    tall = EVEN.copy()
+    tall[6, 6] = 1e3  # its size is known to 3 %
+    after, found = balanced([high, low, plank], {0: EVEN, 1: tall, 2: EVEN})
+    assert stands(after, reach=REACH)
+    assert found.moves[1].scale > 1.01 and found.cost < 3
+
+
+def test_what_rests_hardly_moves_and_what_is_fixed_not_at_all():
+    low, up = body(0, block(at=(0, 0, 0.05 + GAP))), body(1, block(at=(0.02, 0, 0.15 + 2 * GAP)))
+    _, found = balanced([low, up], {0: EVEN, 1: EVEN})
+    assert found.cost < 1e-2
+    sunk = up.moved(pose(t=[0, 0, -0.002]))
+    after, found = balanced([low, sunk], {1: EVEN})
+    assert set(found.moves) == {1} and after[1].parts.lowest == pytest.approx(0.1 + 2 * GAP, abs=5e-5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_disturbed_heap_comes_to_an_equilibrium_about_as_near_as_the_one_that_it_came_from(seed: int):
+    """Two boxes side by side carry a third that leans on a wall."""
+    rng = np.random.default_rng(seed)
+    sigmas = np.array([0.002] * 3 + [0.01] * 3 + [0.005])
+    wall = body(9, block((0.02, 0.3, 0.3), at=(0.15 + GAP, 0, 0.15)), fixed=True)
+    heap = [
+        body(0, block((0.1, 0.1, 0.1), at=(-0.06, 0, 0.05 + GAP))),
+        body(1, block((0.1, 0.1, 0.1), at=(0.06, 0, 0.05 + GAP))),
+        body(2, block((0.12, 0.08, 0.06), at=(0.01, 0, 0.13 + 2 * GAP))),
+    ]
+    errors = {b.id: sigmas * rng.standard_normal(7) for b in heap}
+    wrong: list[StaticBody] = [wall]
+    for b in heap:
+        T, scale = similarity(errors[b.id], middle(b))
+        wrong.append(b.moved(pose(scale * T[:3, :3], T[:3, 3])))
+    after, found = balanced(wrong, {b.id: np.diag(sigmas**-2) for b in heap})
+    came = sum(float(((e / sigmas) ** 2).sum()) for e in errors.values())
+    assert found.cost < came
+    assert stands(after, reach=REACH)
+    assert not any(collide(a.parts, b.parts, 1e-5) for a, b in combinations(after, 2))
+
+
+@pytest.mark.parametrize("gap", [0.004, 0.0, -0.003])
+def test_gaps_are_distances_between_the_faces_negative_where_they_overlap(gap: float):
+    # The upper box juts out: corners of contact lie where its underside crosses the other's edges.
+    low, up = block(at=(0, 0, 0.05)), block((0.1, 0.1, 0.1), at=(0.04, 0.03, 0.15 + gap))
+    near = near_contacts({0: body(0, low).parts, 1: body(1, up).parts}, [1])
+    on = near.contacts
+    assert set(zip(on.upper.tolist(), on.lower.tolist(), strict=True)) == {(0, 1)}
+    assert near.gaps == pytest.approx(gap, abs=1e-9)
+    assert on.points[:, :2].min(0) == pytest.approx([-0.01, -0.02]) and on.points[:, :2].max(0) == pytest.approx(0.05)
+
+
+def test_gaps_change_by_a_move_as_their_normals_say():
+    low = block(at=(0, 0, 0.05))
+    up = block(at=(0, 0, 0)).moved(pose(rotation_about([1, 2, 3], 0.7), [-0.05, 0, 0]))
+    up = up.moved(pose(t=[0, 0, 0.103 - up.vertices[:, 2].min()]))
+
+    def nearest(shift: Array) -> NearContacts:
+        return near_contacts({0: body(0, low).parts, 1: body(1, up.moved(pose(t=shift))).parts}, [1])
+
+    before = nearest(np.zeros(3))
+    k = int(np.argmin(before.gaps))
+    shift = np.array([1e-3, -2e-3, 1e-3])
+    change = float(nearest(shift).gaps.min()) - float(before.gaps[k])
+    sign = 1 if before.contacts.upper[k] == 1 else -1
+    assert change == pytest.approx(sign * float(before.contacts.normals[k] @ shift), abs=1e-9)
+
+
+def test_the_vector_that_nearly_satisfies():
+    against = np.array([[1.0, 1], [-1, 1]])
+    assert shortest(against) is None
+    assert nearly(against, 1e6) == pytest.approx([0], abs=1e-9)
+    assert nearly(np.array([[1.0, 1]]), 1.0) == pytest.approx([0.5])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_at_a_high_price_it_is_the_shortest(seed: int):
+    rng = np.random.default_rng(seed)
+    inside = rng.standard_normal(4)
+    G = rng.standard_normal((30, 4))
+    rows = np.column_stack([G, G @ inside - rng.uniform(0, 1, 30)])
+    assert nearly(rows, 1e12) == pytest.approx(shortest(rows), abs=1e-6)
