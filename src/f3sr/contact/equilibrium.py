@@ -88,8 +88,9 @@ def nearest_equilibrium(
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
-    ``precisions``: a positive definite (7, 7) per id that may move, the inverse covariance of a shift [m], a rotation
-    vector [rad] and the logarithm of the scale, both about the middle of the body's box. The others stay.
+    ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
+    shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
+    body's box.
     """
     search = _Search(bodies, precisions, clearance, ground_friction)
     work = np.inf

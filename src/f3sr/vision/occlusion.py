@@ -54,9 +54,8 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
     before the fruit in it: there the object would be hidden.
 
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
-    stands on another, depth goes on without a step. What begins with a step and then goes down away from the camera, as
-    a crate's wall seen from above, is before the object as long as it is nearer across the ground. The ``camera`` tells
-    what is vertical.
+    stands on another, depth goes on without a step. A crate's wall, seen from above, begins with a step and gets deeper
+    downwards. It is before the object as long as it is nearer across the ground. The ``camera`` tells what is vertical.
     """
     mine = geometry.inside(o.mask)
     sure = _inner(mine)
