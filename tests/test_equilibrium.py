@@ -46,6 +46,11 @@ def test_what_hangs_comes_down_and_what_is_sunk_comes_up():
         assert after[0].parts.lowest == pytest.approx(GAP, abs=2e-5) and found.work < 1e-4
 
 
+def test_what_hangs_too_high_stays():
+    after, found = balanced([body(0, block(at=(0, 0, 1)))], {0: EVEN})
+    assert middle(after[0]) == pytest.approx([0, 0, 1], abs=0.06) and found.work > 0.02
+
+
 def test_a_box_that_is_tilted_by_an_error_lies_down_flat():
     tilted = block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.0517]))
     after, _ = balanced([body(0, tilted)], {0: EVEN})

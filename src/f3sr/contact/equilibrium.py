@@ -60,7 +60,7 @@ ENOUGH = 1e4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Move:
+class BodyMove:
     """x -> T (scale x), ``T`` (4, 4)."""
 
     T: Array
@@ -71,7 +71,7 @@ class Move:
 class Equilibrium:
     """Where bodies are in balance."""
 
-    moves: Mapping[int, Move]
+    moves: Mapping[int, BodyMove]
     """Of every body that may move, from where it was."""
     cost: float
     """Sum of the squared moves, in standard deviations."""
@@ -86,13 +86,13 @@ def nearest_equilibrium(
     clearance: float = DEFAULT_MARGIN.clearance,
     ground_friction: float = Ground.friction,
 ) -> Equilibrium:
-    """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
+    """BodyMove bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
     body's box.
     """
-    search = _Search(bodies, precisions, clearance, ground_friction)
+    search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction)
     work = np.inf
     for rho, price in FIRST:
         search.step(rho, price=price, tilts=np.zeros((1, 2)))
@@ -103,7 +103,7 @@ def nearest_equilibrium(
     return Equilibrium(moves=search.moves, cost=search.cost, work=work)
 
 
-class _Search:
+class _EquilibriumSearch:
     """Bodies on their way. Moves are scaled so that the cost of x (7 n,) is |x|^2."""
 
     def __init__(
@@ -116,7 +116,7 @@ class _Search:
         self.middles = {id: self.bodies[id].parts.bounds.mean(0) for id in self.ids}
         # q' W q = |L' q|^2 with W = L L'; in x = L' q the cost is |x|^2, and q = L'^-1 x.
         self.units = {id: np.linalg.inv(np.linalg.cholesky(precisions[id]).T) for id in self.ids}
-        self.moves = {id: Move(T=np.eye(4), scale=1.0) for id in self.ids}
+        self.moves = {id: BodyMove(T=np.eye(4), scale=1.0) for id in self.ids}
         self.x = np.zeros(PARAMETERS * len(self.ids))
         self.hanging = set[int]()
         """What some force could not hold where it was."""
@@ -140,7 +140,7 @@ class _Search:
         return work, self._move(y - pull - self.x)
 
     def _move(self, dx: Array) -> float:
-        """Move bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
+        """BodyMove bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
         steps = {id: self.units[id] @ dx[place] for id, place in self.places.items()}
         share = min(1.0, *(self._most(id, q) for id, q in steps.items()))
         self.x = self.x + share * dx
@@ -150,7 +150,7 @@ class _Search:
             self.middles[id] = self.middles[id] + share * q[SHIFT]
             was = self.moves[id]
             t = scale * T[:3, :3] @ was.T[:3, 3] + T[:3, 3]
-            self.moves[id] = Move(T=pose(T[:3, :3] @ was.T[:3, :3], t), scale=scale * was.scale)
+            self.moves[id] = BodyMove(T=pose(T[:3, :3] @ was.T[:3, :3], t), scale=scale * was.scale)
         return share * max(float(np.linalg.norm(q[SHIFT])) for q in steps.values())
 
     def _most(self, id: int, q: Array) -> float:
@@ -175,6 +175,9 @@ class _Search:
         for tilt, c in cases:
             upright, lean = balance.weights(c)
             found = linprog(cost, A_eq=equal, b_eq=upright + lean @ tilt, method="highs")
+            if found.x is None:  # rounding: no force is known to be needed
+                work.append(np.inf)
+                continue
             pushes, slack = found.x[: -2 * rows].reshape(-1, CONE_EDGES), found.x[-2 * rows :]
             forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
             left = np.maximum(left, slack.reshape(2, rows).max(0))

@@ -16,7 +16,8 @@ ROUNDING = 1e-9
 
 
 def shortest(rows: Array) -> Array | None:
-    """The shortest x (n,) with ``rows[:, :-1] @ x >= rows[:, -1]`` for rows (k, n + 1), None when there is none."""
+    """The shortest x (n,) with ``rows[:, :-1] @ x >= rows[:, -1]`` for rows (k, n + 1), None when there is none, or
+    none is found."""
     from scipy.optimize import nnls
 
     if not len(rows) or (rows[:, -1] <= 0).all():
@@ -28,7 +29,10 @@ def shortest(rows: Array) -> Array | None:
     target = np.zeros(len(E))
     target[-1] = 1
     scale = np.maximum(np.linalg.norm(E, axis=0), 1e-300)
-    u, _ = nnls(E / scale, target, maxiter=30 * E.shape[1])
+    try:
+        u, _ = nnls(E / scale, target, maxiter=30 * E.shape[1])
+    except RuntimeError:  # rounding kept it from an end
+        return None
     left = (E / scale) @ u - target
     if abs(left[-1]) < 1e-10:
         return None

@@ -103,9 +103,9 @@ def refine(
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
-    What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. What is off its
-    masks after alignment is also placed again from there. At last every object that is still off its mask is re-aligned
-    alone.
+    What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. Where that gains
+    nothing, what is still off its masks after alignment is placed again from there. At last every object that is still
+    off its mask is re-aligned alone.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -119,16 +119,17 @@ def refine(
         tried = stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
+    unbalanced = [o.id for o in state.scene]
     if lost := sorted(_lost(state, seen, config.contact)):
         step = f"moved to the nearest equilibrium: object {_named(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
         tried = balanced(state.scene, lost, start=start, moving=frozenset(lost))
-        state, decision, _ = _better(state, tried, lost, step, config)
+        state, decision, unbalanced = _better(state, tried, lost, step, config)
         decisions.append(decision)
     came = state
     state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
     decisions += told
-    lost = sorted(_lost(state, seen, config.contact))
+    lost = sorted(_lost(state, seen, config.contact).intersection(unbalanced))
     placed, told = _placed_again(came, lost, seen, replaced, config)
     decisions += told
     if placed is not came:
