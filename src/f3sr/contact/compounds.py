@@ -78,6 +78,11 @@ class Compound(Sequence[Polytope]):
         return np.stack([self.boxes[:, 0].min(0), self.boxes[:, 1].max(0)])
 
     @property
+    def size(self) -> float:
+        """Diagonal of its box [m]."""
+        return float(np.linalg.norm(np.ptp(self.bounds, axis=0)))
+
+    @property
     def lowest(self) -> float:
         """Height of the lowest point [m]."""
         return float(self.boxes[:, 0, 2].min())

@@ -85,7 +85,7 @@ class _Crowd:
         self.meetings: list[_Meeting] = []
         for a, b in combinations(bodies, 2):
             matrix = self.matrices[a] - self.matrices[b]
-            reach = REACH * min(float(np.linalg.norm(np.ptp(bodies[k].bounds, axis=0))) for k in (a, b))
+            reach = REACH * min(bodies[k].size for k in (a, b))
             if matrix.any() and (near := near_parts(bodies[a], bodies[b], reach)).size:
                 planes = [facets(bodies[a][i], bodies[b][j]) for i, j in near.tolist()]
                 self.meetings.append(_Meeting(matrix=matrix, facets=[(n, h + clearance) for n, h in planes]))

@@ -22,7 +22,7 @@ import numpy as np
 from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
-from f3sr.contact.near_contacts import NearContacts, near_contacts, size_of
+from f3sr.contact.near_contacts import NearContacts, near_contacts
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.pose_uncertainty import SHIFT, TURN, similarity
 from f3sr.core.transforms import Array, cross, pose
@@ -128,7 +128,7 @@ class _EquilibriumSearch:
     def step(self, rho: float, *, tilts: Array, price: float | None = None) -> tuple[float, float]:
         """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
         shift [m]. ``price``: of squared overlap, where it may be left."""
-        near = near_contacts({id: b.parts for id, b in self.bodies.items()}, self.ids, self.hanging)
+        near = near_contacts({id: b.parts for id, b in self.bodies.items()}, self.ids, sorted(self.hanging))
         forces, work = self._forces(near, tilts)
         rates = self._rates(near.contacts)
         pull = rho * forces @ rates
@@ -140,7 +140,7 @@ class _EquilibriumSearch:
         return work, self._move(y - pull - self.x)
 
     def _move(self, dx: Array) -> float:
-        """BodyMove bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
+        """Move bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
         steps = {id: self.units[id] @ dx[place] for id, place in self.places.items()}
         share = min(1.0, *(self._most(id, q) for id, q in steps.items()))
         self.x = self.x + share * dx
@@ -157,7 +157,7 @@ class _EquilibriumSearch:
         """The share of a move that a step allows."""
         shift, turn = float(np.linalg.norm(q[SHIFT])), float(np.linalg.norm(q[TURN]))
         tiny = np.finfo(float).tiny
-        return min(STEP * size_of(self.bodies[id].parts) / max(shift, tiny), TURN_STEP / max(turn, tiny))
+        return min(STEP * self.bodies[id].size / max(shift, tiny), TURN_STEP / max(turn, tiny))
 
     def _forces(self, near: NearContacts, tilts: Array) -> tuple[Array, float]:
         """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres."""

@@ -18,12 +18,12 @@ REACH = 0.05
 """Largest gap at which bodies may come to touch, as a share of the smaller body's size."""
 ROOM = 2e-4
 """How much farther [m] than its least gap a patch of two parts reaches: curved surfaces touch in a small place."""
+PARALLEL = float(np.radians(3))
+"""Largest angle [rad] between faces that a small turn may lay on each other: then their far corners count too."""
 FACES = 0.015
 """Least room between such faces, as a share of the smaller body's size."""
 GROUND_ROOM = 0.02
 """How much farther than its least gap a patch on the ground reaches, as a share of the body's size."""
-PARALLEL = float(np.radians(3))
-"""Largest angle [rad] between faces that a small turn may lay on each other: then their far corners count too."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,15 +67,10 @@ def near_contacts(
     )
 
 
-def size_of(body: Compound) -> float:
-    """Diagonal of a body's box [m]."""
-    return float(np.linalg.norm(np.ptp(body.bounds, axis=0)))
-
-
 def _between_bodies(bodies: Mapping[int, Compound], moving: Collection[int]) -> Iterator[_Corners]:
     for a, b in combinations(bodies, 2):
         if a in moving or b in moving:
-            size = min(size_of(bodies[k]) for k in (a, b))
+            size = min(bodies[k].size for k in (a, b))
             yield from _between(a, bodies[a], b, bodies[b], size, REACH * size)
 
 
@@ -113,7 +108,7 @@ def _way_out(part: Polytope, points: Array, direction: Array) -> Array:
 
 def _on_ground(bodies: Mapping[int, Compound], moving: Collection[int]) -> Iterator[_Corners]:
     for id in moving:
-        size = size_of(bodies[id])
+        size = bodies[id].size
         if bodies[id].lowest <= REACH * size:
             yield _above_ground(id, bodies[id], size * GROUND_ROOM)
 
@@ -128,7 +123,7 @@ def _above_ground(id: int, body: Compound, room: float, lift: float = 0.0) -> _C
 
 def _below(bodies: Mapping[int, Compound], id: int) -> Iterator[_Corners]:
     """What a body would meet if it were lowered."""
-    body, size = bodies[id], size_of(bodies[id])
+    body, size = bodies[id], bodies[id].size
     others = Compound.of(b for k, b in bodies.items() if k != id)
     drop = min(free_travel(body, others, -UP), body.lowest)
     if drop <= REACH * size:

@@ -39,7 +39,7 @@ class StaticBody:
     @property
     def size(self) -> float:
         """Diagonal of its bounding box [m]."""
-        return float(np.linalg.norm(np.ptp(self.parts.bounds, axis=0)))
+        return self.parts.size
 
     def moved(self, T: Array) -> StaticBody:
         """The body under a rigid motion T (4, 4), or a similarity: its mass stays."""
