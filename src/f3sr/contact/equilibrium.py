@@ -23,6 +23,7 @@ from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
 from f3sr.contact.near_contacts import NearContacts, near_contacts
+from f3sr.contact.stabilize import CONE_EDGES
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.pose_uncertainty import SHIFT, TURN, similarity
 from f3sr.core.transforms import Array, cross, pose
@@ -31,8 +32,6 @@ from f3sr.scene import Ground
 
 PARAMETERS = 7
 """Of a move: ``core.pose_uncertainty``."""
-CONE_EDGES = 4
-"""Edges of friction pyramids: fewer edges have less friction, so this is on the safe side."""
 TILT = 0.02
 """Tangent of the tilts of gravity that are balanced: what proxies and masses are wrong by."""
 TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi * np.arange(3) / 3)], axis=1)
@@ -86,7 +85,7 @@ def nearest_equilibrium(
     clearance: float = DEFAULT_MARGIN.clearance,
     ground_friction: float = Ground.friction,
 ) -> Equilibrium:
-    """BodyMove bodies by little so that they touch where forces must act and balance gravity, without overlap.
+    """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
