@@ -363,6 +363,18 @@ def test_jobs_that_ended_long_ago_are_taken_away(place: Path, monkeypatch: pytes
         assert {entry.name for entry in project.jobs.iterdir()} == {job.id for job in queue.jobs(project)}
 
 
+def test_jobs_stay_in_the_order_asked_whatever_the_clock_says(place: Path, monkeypatch: pytest.MonkeyPatch):
+    """Several in one millisecond, and a clock that is set back between two."""
+    with opened(place) as (queue, project):
+        asked_in_order = [asked(queue, project, "step 60")]
+        for seconds in (0, -3600, 7200, 0):
+            moment = time.time() + seconds
+            monkeypatch.setattr("f3sr.studio.job_record.time.time", lambda moment=moment: moment)
+            asked_in_order += [asked(queue, project, "step 0") for _ in range(2)]
+            monkeypatch.undo()
+        assert queue.jobs(project) == asked_in_order
+
+
 def test_a_file_that_cannot_be_read_for_a_while_ends_no_queue(place: Path, monkeypatch: pytest.MonkeyPatch):
     """Too many open files, or a server of files that is away."""
     read, failed = JobFolder.events, list[str]()

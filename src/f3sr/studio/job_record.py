@@ -37,7 +37,7 @@ SPARE, SPARE_BYTES = "spare", 16_384
 ENDED = "ended"
 """The event after which none comes."""
 ID = re.compile(r"[0-9]{13}-[0-9a-f]{8}")
-"""Milliseconds since 1970 and a random number: sorted by name is sorted by time."""
+"""Milliseconds since 1970 and a random number: within a project, sorted by name is sorted by time asked."""
 MAX_RECORD = 200_000
 """Bytes of job.json."""
 MAX_EVENTS = 20_000_000
@@ -77,7 +77,7 @@ class JobFolder:
         """A queued job. Raises OutputError where it cannot be written."""
         try:
             jobs.mkdir(exist_ok=True)
-            job = cls(jobs / f"{int(time.time() * 1000):013d}-{secrets.token_hex(4)}")
+            job = cls(jobs / f"{_moment_after_all(jobs):013d}-{secrets.token_hex(4)}")
             job.pictures.mkdir(parents=True)
             job.spare.write_bytes(bytes(SPARE_BYTES))
         except OSError as error:
@@ -232,6 +232,12 @@ def ended(record: JobStanding, end: dict[str, Any]) -> JobStanding:
             "result": result if isinstance(result, dict) else {},
         }
     )
+
+
+def _moment_after_all(jobs: Path) -> int:
+    """Milliseconds since 1970: now, or just after the newest job, also in its millisecond or of a clock set back."""
+    moments = [int(entry.name.partition("-")[0]) for entry in os.scandir(jobs) if ID.fullmatch(entry.name)]
+    return max(int(time.time() * 1000), max(moments, default=0) + 1)
 
 
 def jobs_in(folder: Path) -> list[JobFolder]:
