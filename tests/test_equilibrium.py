@@ -7,21 +7,27 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bodies import block, body
 from f3sr.contact.compounds import collide
-from f3sr.contact.equilibrium import Equilibrium, nearest_equilibrium
+from f3sr.contact.equilibrium import BodyMove, Equilibrium, nearest_equilibrium
 from f3sr.contact.least_norm import nearly, shortest
 from f3sr.contact.near_contacts import NearContacts, near_contacts
 from f3sr.contact.stability import stands
 from f3sr.contact.static_bodies import StaticBody
-from f3sr.core.pose_uncertainty import similarity
+from f3sr.core.pose_uncertainty import parameters, similarity
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
 GAP, REACH = DEFAULT_MARGIN.clearance, DEFAULT_MARGIN.reach
 EVEN = np.diag([1e6, 1e6, 1e6, 1e4, 1e4, 1e4, 1e6])
 """Shifts of 1 mm, turns of .01 rad and scales of .001 are one standard deviation."""
+
+
+def vectors(longest: float) -> st.SearchStrategy[Array]:
+    return st.tuples(*[st.floats(-longest, longest)] * 3).map(np.array)
 
 
 def balanced(bodies: Sequence[StaticBody], precisions: Mapping[int, Array]) -> tuple[list[StaticBody], Equilibrium]:
@@ -79,6 +85,39 @@ def test_what_rests_hardly_moves_and_what_is_fixed_not_at_all():
     sunk = up.moved(pose(t=[0, 0, -0.002]))
     after, found = balanced([low, sunk], {1: EVEN})
     assert set(found.moves) == {1} and after[1].parts.lowest == pytest.approx(0.1 + 2 * GAP, abs=5e-5)
+
+
+@pytest.mark.parametrize("height", [0.001, -0.004])
+def test_what_is_sunk_through_a_thin_floor_comes_back_inside_where_the_search_begins_apart(height: float):
+    """A cube in a tray fixed on the ground. Its middle is under that of the tray's floor, so the nearest way out
+    is down, where the ground leaves no room. Overlap that ends little by little leads nowhere there."""
+    floor = block((0.3, 0.3, 0.006), at=(0, 0, 0.003))
+    walls = [block((0.01, 0.3, 0.06), at=(x, 0, 0.036)) for x in (-0.145, 0.145)]
+    tray = body(9, floor, *walls, fixed=True)
+    cube = body(0, block((0.03, 0.03, 0.03), at=(0.02, 0, height)))
+    found = nearest_equilibrium([tray, cube], {0: EVEN}, apart=True)
+    after = moved(cube, found)
+    assert after.parts.lowest == pytest.approx(0.006 + GAP, abs=5e-5) and found.work < 1e-4
+    assert found.moves[0].scale == pytest.approx(1, abs=0.01)
+    other = nearest_equilibrium([tray, cube], {0: EVEN})
+    assert other.cost > 10 * found.cost or collide(moved(cube, other).parts, tray.parts, 1e-4)
+
+
+def test_the_search_stays_at_the_equilibrium_that_it_starts_from():
+    """A box may stand in either of two hollows; the farther one is kept where it is the start."""
+    ridges = [body(9 + k, block((0.02, 0.2, 0.02), at=(x, 0, 0.01)), fixed=True) for k, x in enumerate((-0.2, 0, 0.2))]
+    box = body(0, block((0.1, 0.1, 0.1), at=(-0.1, 0, 0.05 + GAP)))
+    there = BodyMove(T=pose(rotation_about([0, 0, 1], 0.02), [0.2, 0.01, 0]), scale=1.01)
+    after = moved(box, found := nearest_equilibrium([box, *ridges], {0: EVEN}, start={0: there}))
+    assert stands([after, *ridges], reach=REACH) and middle(after)[0] > 0.03
+    here = nearest_equilibrium([box, *ridges], {0: EVEN})
+    assert here.cost < 0.1 < found.cost
+
+
+@given(shift=vectors(1.0), turn=vectors(1.7), size=st.floats(-1, 1), middle=vectors(2.0))
+def test_parameters_of_a_similarity(shift: Array, turn: Array, size: float, middle: Array):
+    q = np.concatenate([shift, turn, [size]])
+    assert parameters(*similarity(q, middle), middle) == pytest.approx(q, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))

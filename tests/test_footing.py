@@ -23,7 +23,7 @@ from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.settling import settle
 from f3sr.scene import GROUND, SceneObject, Support
-from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.separate import SeparateConfig, on_footings_in_place, separate
 from scenes import ball_mesh, box, scene_of
 
 CONFIG = FootingConfig()
@@ -335,6 +335,24 @@ def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
         assert np.degrees(turn) < 0.3
     again, _ = separate(scene, SeparateConfig(max_ray_scale=0.0))
     assert [len(o.footing) for o in again] == [1, 1], "footings are made anew, not added up"
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.0015])
+def test_what_stands_on_a_footing_in_place_has_not_moved_and_does_not_move(gap: float):
+    """A gap to the ground is filled. Without a footing physics would turn it by its underside's angle."""
+    o = slanted(np.radians(4))
+    o = replace(o, T_world_object=pose(t=[0, 0, DEFAULT_MARGIN.clearance + gap]) @ o.T_world_object)
+    (stood,) = on_footings_in_place(scene_of(o), SeparateConfig())
+    assert stood.footing and np.array_equal(stood.T_world_object, o.T_world_object)
+    assert turned_by_physics(o) > 3 and turned_by_physics(stood) < 0.2
+    after = settle([stood]).T_world_object[0]
+    assert after[2, 3] == pytest.approx(o.T_world_object[2, 3], abs=2e-4)
+
+
+def test_what_hangs_has_no_footing_in_place():
+    ball_over = replace(ball(0), T_world_object=pose(t=[0, 0, 0.09]))
+    high = replace(slanted(np.radians(4)), id=1, T_world_object=pose(t=[0.5, 0, 0.2]))
+    assert not any(o.footing for o in on_footings_in_place(scene_of(ball_over, high), SeparateConfig()))
 
 
 def test_without_footings_an_object_is_laid_down_in_its_place():

@@ -98,6 +98,21 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
 
 
+def test_of_two_scenes_each_group_is_taken_where_it_rests_and_then_where_it_shows_more_of_its_masks(seen: Scene):
+    first, second = shifted(seen, {0: 0.03}), shifted(seen, {1: 0.03})
+
+    def best(a: Collection[int] = (), b: Collection[int] = ()) -> SettledScene:
+        one, other = (SettledScene(scene=s, restless=frozenset(r)) for s, r in ((first, a), (second, b)))
+        return one.or_better(other, ONCE.contact.apart)
+
+    assert [np.array_equal(best().scene[id].T_world_object, seen[id].T_world_object) for id in (0, 1)] == [True, True]
+    kept = best(b=[0])
+    assert np.array_equal(kept.scene[0].T_world_object, first[0].T_world_object) and not kept.restless
+    rested = best(a=[1])
+    assert np.array_equal(rested.scene[1].T_world_object, second[1].T_world_object) and not rested.restless
+    assert best(a=[0, 1], b=[0, 1]).restless == {0, 1}
+
+
 def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen: Scene):
     fell = seen[0].moved(pose(rotation_about([1, 0, 0], np.pi / 2)), stage="test", reason="")
     start = seen.with_objects(fell, seen[1].moved(pose(t=[0.01, 0, 0]), stage="test", reason=""))

@@ -36,9 +36,9 @@ from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, refine
+from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, moved_off_masks, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
-from f3sr.stages.separate import SeparateConfig, Separated, separate
+from f3sr.stages.separate import SeparateConfig, Separated, on_footings_in_place, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from f3sr.stages.uncertainty import Uncertain, uncertainty
 from f3sr.uncertainty.config import UncertaintyConfig
@@ -282,18 +282,37 @@ def _made_again(
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
     if balances:
-        start = balance(retry.scene, config.uncertainty, contact)
-        retry = retry.without_losers(SettledScene(scene=start, restless=frozenset()), contact)
-        parted = retry.scene
+        rested = _balanced(retry.scene, config)
     else:
         parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
-    rested = _rested(parted, config.settle)
+        rested = _rested(parted, config.settle)
     retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene
     if closes and retry.moving:
         at_rest = partial(_rested, config=config.settle)
         scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
     return retry.ended(replace(rested, scene=scene), contact)
+
+
+def _balanced(scene: Scene, config: Config) -> SettledScene:
+    """Contact groups at rest near their equilibria, each at the best of up to three, with footings or without.
+
+    Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where the
+    best so far rests."""
+    contact, seen = config.refine.contact, SettledScene(scene=scene, restless=frozenset())
+    best = _balanced_once(scene, config)
+    if moved_off_masks(best, seen, contact):
+        best = best.or_better(_balanced_once(scene, config, apart=True), contact.apart)
+    if moved_off_masks(best, seen, contact):
+        best = best.or_better(_balanced_once(scene, config, start=best.scene), contact.apart)
+    return best
+
+
+def _balanced_once(scene: Scene, config: Config, *, apart: bool = False, start: Scene | None = None) -> SettledScene:
+    contact = config.refine.contact
+    placed = balance(scene, config.uncertainty, contact, apart=apart, start=start)
+    standing = on_footings_in_place(placed, config.separate)
+    return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
 
 
 def settling(config: Config) -> Restarted:

@@ -20,18 +20,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact.contact_patches import Contacts
+from f3sr.contact.crowds import spread
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
 from f3sr.contact.near_contacts import NearContacts, near_contacts
 from f3sr.contact.stabilize import CONE_EDGES
 from f3sr.contact.static_bodies import StaticBody
-from f3sr.core.pose_uncertainty import SHIFT, TURN, similarity
+from f3sr.core.pose_uncertainty import PARAMETERS, SHIFT, TURN, parameters, similarity
 from f3sr.core.transforms import Array, cross, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import Ground
 
-PARAMETERS = 7
-"""Of a move: ``core.pose_uncertainty``."""
 TILT = 0.02
 """Tangent of the tilts of gravity that are balanced: what proxies and masses are wrong by."""
 TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi * np.arange(3) / 3)], axis=1)
@@ -84,8 +83,14 @@ def nearest_equilibrium(
     *,
     clearance: float = DEFAULT_MARGIN.clearance,
     ground_friction: float = Ground.friction,
+    apart: bool = False,
+    start: Mapping[int, BodyMove] | None = None,
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
+
+    The minimum is a local one. ``apart`` begins where one joint shift has ended all overlap (``crowds.spread``). A body
+    deep inside thin parts is then on the side where the others leave it room. Otherwise overlap ends little by little.
+    ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
@@ -93,9 +98,16 @@ def nearest_equilibrium(
     """
     search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction)
     work = np.inf
-    for rho, price in FIRST:
-        search.step(rho, price=price, tilts=np.zeros((1, 2)))
+    if start:
+        search.begin(start)
+    elif apart:
+        search.spread()
+    else:
+        for rho, price in FIRST:
+            search.step(rho, price=price, tilts=np.zeros((1, 2)))
     for rho in RHOS:
+        if start and rho < ENOUGH:
+            continue
         work, shift = search.step(rho, tilts=TILTS)
         if work < BALANCED and shift < STILL and rho >= ENOUGH:
             break
@@ -124,6 +136,24 @@ class _EquilibriumSearch:
     def cost(self) -> float:
         return float(self.x @ self.x)
 
+    def begin(self, moves: Mapping[int, BodyMove]) -> None:
+        """Move all bodies at once."""
+        dx = np.zeros_like(self.x)
+        for id, place in self.places.items():
+            q = parameters(moves[id].T, moves[id].scale, self.middles[id])
+            dx[place] = np.linalg.solve(self.units[id], q)
+        self._move(dx)
+
+    def spread(self) -> None:
+        """Shift all bodies out of overlap at once, with their turns and sizes as they are."""
+        inverse = {id: np.asarray(np.linalg.inv(unit), float)[:, SHIFT] for id, unit in self.units.items()}
+        weights = {id: to_x.T @ to_x for id, to_x in inverse.items()}
+        found = spread({id: b.parts for id, b in self.bodies.items()}, weights, clearance=self.clearance)
+        dx = np.zeros_like(self.x)
+        for id, place in self.places.items():
+            dx[place] = inverse[id] @ found.shifts[id]
+        self._move(dx)
+
     def step(self, rho: float, *, tilts: Array, price: float | None = None) -> tuple[float, float]:
         """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
         shift [m]. ``price``: of squared overlap, where it may be left."""
@@ -136,21 +166,22 @@ class _EquilibriumSearch:
         y = nearly(rows, price) if price else shortest(rows)
         if y is None:
             y = nearly(rows, FIRST[-1][1])
-        return work, self._move(y - pull - self.x)
+        dx = y - pull - self.x
+        share = min(1.0, *(self._most(id, self.units[id] @ dx[place]) for id, place in self.places.items()))
+        return work, self._move(share * dx)
 
     def _move(self, dx: Array) -> float:
-        """Move bodies by a step in x, shortened where it is too long. Returns the largest shift [m]."""
+        """Move bodies by a step in x. Returns the largest shift [m]."""
+        self.x = self.x + dx
         steps = {id: self.units[id] @ dx[place] for id, place in self.places.items()}
-        share = min(1.0, *(self._most(id, q) for id, q in steps.items()))
-        self.x = self.x + share * dx
         for id, q in steps.items():
-            T, scale = similarity(share * q, self.middles[id])
+            T, scale = similarity(q, self.middles[id])
             self.bodies[id] = self.bodies[id].moved(pose(scale * T[:3, :3], T[:3, 3]))
-            self.middles[id] = self.middles[id] + share * q[SHIFT]
+            self.middles[id] = self.middles[id] + q[SHIFT]
             was = self.moves[id]
             t = scale * T[:3, :3] @ was.T[:3, 3] + T[:3, 3]
             self.moves[id] = BodyMove(T=pose(T[:3, :3] @ was.T[:3, :3], t), scale=scale * was.scale)
-        return share * max(float(np.linalg.norm(q[SHIFT])) for q in steps.values())
+        return max(float(np.linalg.norm(q[SHIFT])) for q in steps.values())
 
     def _most(self, id: int, q: Array) -> float:
         """The share of a move that a step allows."""

@@ -8,13 +8,15 @@ from typing import Self
 
 import numpy as np
 
-from f3sr.core.transforms import Array, pose, rotation_from_vector
+from f3sr.core.transforms import Array, pose, rotation_from_vector, vector_from_rotation
 
 Matrix7 = tuple[tuple[float, ...], ...]
 """(7, 7)."""
 SHIFT, TURN, SCALE = slice(0, 3), slice(3, 6), 6
 """Places of the parameters: a shift along the world's axes [m], a rotation vector [rad] and the logarithm of the scale,
 both about the middle of the object's box in the world."""
+PARAMETERS = 7
+"""Of a pose."""
 NINETY, NINETY_OF_TWO = 1.645, 2.146
 """Standard deviations of a normal distribution that 90 % are within: of one variable, and of the length of two."""
 HALF_TURN = float(np.pi)
@@ -62,3 +64,9 @@ def similarity(q: Array, middle: Array) -> tuple[Array, float]:
     """The motion x -> T (scale x) of the parameters (7,) of a pose about its ``middle`` (3,)."""
     R, scale = rotation_from_vector(q[TURN]), math.exp(q[SCALE])
     return pose(R, middle + q[SHIFT] - scale * R @ middle), scale
+
+
+def parameters(T: Array, scale: float, middle: Array) -> Array:
+    """The parameters (7,) of a motion x -> T (scale x) about a ``middle`` (3,): the inverse of ``similarity``."""
+    shift = scale * T[:3, :3] @ middle + T[:3, 3] - middle
+    return np.concatenate([shift, vector_from_rotation(T[:3, :3]), [math.log(scale)]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -48,6 +48,27 @@ class SettledScene:
     def score(self) -> float:
         """The mean of ``scores`` over the masks, as ``seen``."""
         return mean_over_masks(self.scores, self.scene)
+
+    def with_groups(self, other: SettledScene, groups: Collection[Collection[int]]) -> SettledScene:
+        """This scene with some groups as in another one."""
+        ids = frozenset(id for g in groups for id in g)
+        scene = self.scene.with_objects(*(other.scene[id] for id in sorted(ids)))
+        return SettledScene(scene=scene, restless=self.restless - ids | other.restless & ids)
+
+    def or_better(self, other: SettledScene, apart: float) -> SettledScene:
+        """This scene with those groups of another one that rest, where these do not, or agree better with the photo.
+
+        Objects with ``apart`` [m] between them belong to different groups."""
+        better = [
+            g
+            for g in groups_of(self.scene, other.scene, apart)
+            if (not g & other.restless, _mean(other.scores, g)) > (not g & self.restless, _mean(self.scores, g))
+        ]
+        return self.with_groups(other, better)
+
+
+def _mean(values: Mapping[int, float], ids: Collection[int]) -> float:
+    return float(np.mean([values[id] for id in ids]))
 
 
 def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:

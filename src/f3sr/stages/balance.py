@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.contact.equilibrium import nearest_equilibrium
+from f3sr.contact.equilibrium import BodyMove, nearest_equilibrium
 from f3sr.contact.static_bodies import bodies_of
+from f3sr.core.transforms import pose
 from f3sr.metrics.contact_groups import groups_of
 from f3sr.physics.contact_margin import ContactMargin
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.uncertainty.config import UncertaintyConfig
 from f3sr.uncertainty.pose_information import precisions
 
-MOST_OBJECTS = 16
+MOST_OBJECTS = 32
 """Most objects of a contact group that is moved into balance; the time grows with the square of their number."""
 
 
-def balance(scene: Scene, config: UncertaintyConfig, contact: ContactMargin) -> Scene:
-    """The scene with each contact group moved to its nearest equilibrium (``contact.equilibrium``).
+def balance(
+    scene: Scene,
+    config: UncertaintyConfig,
+    contact: ContactMargin,
+    *,
+    apart: bool = False,
+    start: Scene | None = None,
+) -> Scene:
+    """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
     Supports are not asked: what carries an object follows from the forces. Objects that are fixed stay. Poses are in
-    the world [m]; physics is not run.
+    the world [m]; physics is not run. ``apart`` begins the search where nothing overlaps, and
+    ``start`` where objects rest in another scene.
     """
     bodies = bodies_of(scene)
     free = {b.id for b in bodies if not b.fixed}
@@ -34,8 +43,16 @@ def balance(scene: Scene, config: UncertaintyConfig, contact: ContactMargin) -> 
             {id: costs[id] for id in group},
             clearance=contact.clearance,
             ground_friction=scene.ground.friction,
+            apart=apart,
+            start={id: _move(scene[id], start[id]) for id in group} if start else None,
         )
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         moved = [scene[id].moved(m.T, scale=m.scale, stage="refine", reason=told) for id, m in found.moves.items()]
         scene = scene.with_objects(*moved)
     return scene
+
+
+def _move(before: SceneObject, after: SceneObject) -> BodyMove:
+    scale = after.scale / before.scale
+    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
+    return BodyMove(T=pose(R, after.T_world_object[:3, 3] - scale * R @ before.T_world_object[:3, 3]), scale=scale)

@@ -120,7 +120,7 @@ def refine(
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     unbalanced = [o.id for o in state.scene]
-    if lost := sorted(_lost(state, seen, config.contact)):
+    if lost := sorted(moved_off_masks(state, seen, config.contact)):
         step = f"moved to the nearest equilibrium: object {_named(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
         tried = balanced(state.scene, lost, start=start, moving=frozenset(lost))
@@ -129,7 +129,7 @@ def refine(
     came = state
     state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
     decisions += told
-    lost = sorted(_lost(state, seen, config.contact).intersection(unbalanced))
+    lost = sorted(moved_off_masks(state, seen, config.contact).intersection(unbalanced))
     placed, told = _placed_again(came, lost, seen, replaced, config)
     decisions += told
     if placed is not came:
@@ -188,7 +188,7 @@ def _placed_again(
     """Some objects where contact leads them from other starts near their masks: the best of all."""
     decisions: list[Decision] = []
     for k in range(RETURNS):
-        if not (ids := sorted(_lost(state, seen, config.contact).intersection(ids))):
+        if not (ids := sorted(moved_off_masks(state, seen, config.contact).intersection(ids))):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
         start = _as_seen(state.scene, seen.scene, ids, attempt=k)
@@ -200,7 +200,7 @@ def _placed_again(
     return state, decisions
 
 
-def _lost(state: SettledScene, seen: SettledScene, contact: ContactMargin) -> frozenset[int]:
+def moved_off_masks(state: SettledScene, seen: SettledScene, contact: ContactMargin) -> frozenset[int]:
     """Ids of the groups that contact moved off their masks. What fell away belongs to its group: the photo shows it
     there."""
     groups = groups_of(seen.scene, state.scene, contact.apart)
@@ -278,23 +278,14 @@ def _better(
         and g & tried.restless <= state.restless
     ]
     gaining = [g for g in able if _gain(g, was, now) > GAIN]
-    candidates = [_mixed(state, tried, groups) for groups in (gaining, able)] if gaining else []
-    best, changed = max(candidates, key=lambda c: c[0].score, default=(state, frozenset[int]()))
+    candidates = [(state.with_groups(tried, groups), groups) for groups in (gaining, able)] if gaining else []
+    best, changed = max(candidates, key=lambda c: c[0].score, default=(state, []))
     if best.score <= state.score:
         reason = _told(state, tried) + _not_at_rest(sorted(tried.restless - state.restless))
         return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
-    undone = [id for id in ids if id not in changed]
+    undone = [id for id in ids if not any(id in g for g in changed)]
     but = f" but for {_named(undone)}" if undone else ""
     return best, Decision(choice=f"{step}: accepted{but}", reason=_told(state, best)), undone
-
-
-def _mixed(
-    state: SettledScene, tried: SettledScene, groups: Collection[Collection[int]]
-) -> tuple[SettledScene, frozenset[int]]:
-    """``state`` with some groups as in ``tried``, and their ids."""
-    changed = frozenset(id for g in groups for id in g)
-    scene = state.scene.with_objects(*(tried.scene[id] for id in sorted(changed)))
-    return SettledScene(scene=scene, restless=state.restless - changed | tried.restless & changed), changed
 
 
 def _told(was: SettledScene, now: SettledScene) -> str:

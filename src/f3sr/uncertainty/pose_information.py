@@ -15,6 +15,7 @@ import numpy as np
 from f3sr.contact.compounds import placed
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.core.camera import Camera
+from f3sr.core.pose_uncertainty import PARAMETERS, SCALE
 from f3sr.core.transforms import Array, skew
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.uncertainty.config import UncertaintyConfig
@@ -26,11 +27,8 @@ from f3sr.vision.occlusion import comparable_region, nearer_objects
 from f3sr.vision.photometric import Appearance
 from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, loss
 
-SCALE = 6
-"""Place of the scale among the parameters of a pose."""
-POSE, CAMERA, LAND = 7, 3, 3
-"""Numbers of parameters of an object, of the camera and of the ground."""
-
+CAMERA, LAND = 3, 3
+"""Numbers of parameters of the camera and of the ground."""
 
 LEAST_ERROR = 1e-4
 """Of the ground's height [m] and tilts [rad], however many points measured it."""
@@ -46,8 +44,8 @@ class Information:
     @classmethod
     def of(cls, scene: Scene, config: UncertaintyConfig) -> Information:
         ids = tuple(o.id for o in scene)
-        places = {id: slice(POSE * k, POSE * (k + 1)) for k, id in enumerate(ids)}
-        camera = slice(POSE * len(ids), POSE * len(ids) + CAMERA)
+        places = {id: slice(PARAMETERS * k, PARAMETERS * (k + 1)) for k, id in enumerate(ids)}
+        camera = slice(PARAMETERS * len(ids), PARAMETERS * len(ids) + CAMERA)
         land = slice(camera.stop, camera.stop + LAND)
         whole = np.zeros((land.stop, land.stop))
         nearer, sigmas = nearer_objects(scene), depth_prior.sigmas(scene)
@@ -71,7 +69,7 @@ class Information:
 
 
 def _block(matrix: Array, k: int) -> Array:
-    return matrix[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)]
+    return matrix[PARAMETERS * k : PARAMETERS * (k + 1), PARAMETERS * k : PARAMETERS * (k + 1)]
 
 
 def precisions(scene: Scene, ids: Collection[int], config: UncertaintyConfig) -> dict[int, Array]:
@@ -83,7 +81,9 @@ def precisions(scene: Scene, ids: Collection[int], config: UncertaintyConfig) ->
     found = dict[int, Array]()
     for id in ids:
         o = scene[id]
-        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)[:POSE, :POSE]
+        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)[
+            :PARAMETERS, :PARAMETERS
+        ]
         found[id] = seen + of_depth(o, scene.camera, sigmas[id]) + np.diag(_prior(o, config))
     return found
 

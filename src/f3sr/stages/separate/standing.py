@@ -14,7 +14,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, rotation_from_vector, transform, turn_about, vector_from_rotation
 from f3sr.metrics.measures import visible_ious
 from f3sr.report import Decision
-from f3sr.scene import GROUND, SceneObject
+from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.placement import Placement, Saved
 from f3sr.stages.separate.support_contact import gap, room_below
@@ -58,14 +58,38 @@ def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -
     layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
 
 
+def on_footings_in_place(scene: Scene, config: SeparateConfig) -> Scene:
+    """The scene with a footing under each object that would then stand as it is; nothing moves.
+
+    A footing fills the gap to the support. A round underside gets one only where it touches."""
+    layout = Placement(scene)
+    for id in scene.supports_first:
+        o = layout.object(id)
+        if o.mobility == "fixed" or o.supported_by is None:
+            continue
+        above = max(0.0, gap(layout.bodies[id], id, layout, config))
+        if _fit_a_footing(layout, o, config, below=above) is None and above < config.contact.apart:
+            _fit_a_footing(layout, o, config, below=0.0)
+    return layout.moved_scene()
+
+
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
-    """Give an object a footing in its present pose, if it is then stable and the footing overlaps no other body."""
+    """Give an object a footing in its present pose, and put it onto its support with all it carries."""
+    decision = _fit_a_footing(layout, o, config, below=layout.missing[o.id])
+    if decision:
+        layout.move(layout.scene.subtree(o.id), -gap(layout.bodies[o.id], o.id, layout, config) * UP)
+    return decision
+
+
+def _fit_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig, *, below: float) -> Decision | None:
+    """Give an object a footing down to ``below`` [m] under its lowest point, if it is then stable and the footing
+    overlaps no other body."""
     if not config.footing.enabled:
         return None
-    below = [layout.object(k) for k in o.carriers if k != GROUND]
+    carriers = [layout.object(k) for k in o.carriers if k != GROUND]
     center = center_of([layout.object(k) for k in layout.scene.load(o.id)], parts=layout.bodies)
-    plane = plane_below(o, below, config.footing, center=center)
-    wedges = footing(o, plane, config.footing, below=layout.missing[o.id], center=center) if plane else ()
+    plane = plane_below(o, carriers, config.footing, center=center)
+    wedges = footing(o, plane, config.footing, below=below, center=center) if plane else ()
     if not plane or not wedges:
         return None
     before, was = layout.saved(), layout.collisions_of(o.id)
@@ -73,7 +97,6 @@ def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig)
     if layout.collisions_of(o.id) - was - set(o.carriers):
         layout.restore(before)
         return None
-    layout.move(layout.scene.subtree(o.id), -gap(layout.bodies[o.id], o.id, layout, config) * UP)
     return _footing_decision(o, wedges)
 
 
