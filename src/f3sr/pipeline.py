@@ -42,6 +42,7 @@ from f3sr.stages.separate import SeparateConfig, Separated, on_footings_in_place
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from f3sr.stages.uncertainty import Uncertain, uncertainty
 from f3sr.uncertainty.config import UncertaintyConfig
+from f3sr.uncertainty.pose_information import precisions
 
 BESIDE = 2_000_000
 """Largest photo [pixels] that is completed in parallel with the other stages; that takes 100 bytes a pixel."""
@@ -300,19 +301,19 @@ def _balanced(scene: Scene, config: Config) -> SettledScene:
     Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where the
     best so far rests."""
     contact, seen = config.refine.contact, SettledScene(scene=scene, restless=frozenset())
-    best = _balanced_once(scene, config)
+    costs = precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
+
+    def ended(*, apart: bool = False, start: Scene | None = None) -> SettledScene:
+        placed = balance(scene, costs, contact, apart=apart, start=start)
+        standing = on_footings_in_place(placed, config.separate)
+        return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
+
+    best = ended()
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(_balanced_once(scene, config, apart=True), contact.apart)
+        best = best.or_better(ended(apart=True), contact.apart)
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(_balanced_once(scene, config, start=best.scene), contact.apart)
+        best = best.or_better(ended(start=best.scene), contact.apart)
     return best
-
-
-def _balanced_once(scene: Scene, config: Config, *, apart: bool = False, start: Scene | None = None) -> SettledScene:
-    contact = config.refine.contact
-    placed = balance(scene, config.uncertainty, contact, apart=apart, start=start)
-    standing = on_footings_in_place(placed, config.separate)
-    return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
 
 
 def settling(config: Config) -> Restarted:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from f3sr.contact.equilibrium import BodyMove, nearest_equilibrium
 from f3sr.contact.static_bodies import bodies_of
-from f3sr.core.transforms import pose
+from f3sr.core.transforms import Array, pose
 from f3sr.metrics.contact_groups import groups_of
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.scene import Scene, SceneObject
-from f3sr.uncertainty.config import UncertaintyConfig
-from f3sr.uncertainty.pose_information import precisions
 
 MOST_OBJECTS = 32
 """Most objects of a contact group that is moved into balance; the time grows with the square of their number."""
@@ -19,7 +19,7 @@ MOST_OBJECTS = 32
 
 def balance(
     scene: Scene,
-    config: UncertaintyConfig,
+    costs: Mapping[int, Array],
     contact: ContactMargin,
     *,
     apart: bool = False,
@@ -27,14 +27,12 @@ def balance(
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
-    Supports are not asked: what carries an object follows from the forces. Objects that are fixed stay. Poses are in
-    the world [m]; physics is not run. ``apart`` begins the search where nothing overlaps, and
-    ``start`` where objects rest in another scene.
+    Supports are not asked: what carries an object follows from the forces. ``costs`` are the (7, 7) precisions of
+    ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
+    ``apart`` begins the search where nothing overlaps, and ``start`` where objects rest in another scene.
     """
     bodies = bodies_of(scene)
-    free = {b.id for b in bodies if not b.fixed}
-    groups = [sorted(g & free) for g in groups_of(scene, scene, contact.apart)]
-    costs = precisions(scene, sorted(free), config)
+    groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
     for group in groups:
         if not 1 <= len(group) <= MOST_OBJECTS:
             continue

@@ -81,10 +81,8 @@ def precisions(scene: Scene, ids: Collection[int], config: UncertaintyConfig) ->
     found = dict[int, Array]()
     for id in ids:
         o = scene[id]
-        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)[
-            :PARAMETERS, :PARAMETERS
-        ]
-        found[id] = seen + of_depth(o, scene.camera, sigmas[id]) + np.diag(_prior(o, config))
+        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)
+        found[id] = _block(seen, 0) + of_depth(o, scene.camera, sigmas[id]) + np.diag(_prior(o, config))
     return found
 
 

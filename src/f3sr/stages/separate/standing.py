@@ -68,7 +68,7 @@ def on_footings_in_place(scene: Scene, config: SeparateConfig) -> Scene:
         if o.mobility == "fixed" or o.supported_by is None:
             continue
         above = max(0.0, gap(layout.bodies[id], id, layout, config))
-        if _fit_a_footing(layout, o, config, below=above) is None and above < config.contact.apart:
+        if _fit_a_footing(layout, o, config, below=above) is None and 0 < above < config.contact.apart:
             _fit_a_footing(layout, o, config, below=0.0)
     return layout.moved_scene()
 
