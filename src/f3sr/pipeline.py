@@ -38,7 +38,7 @@ from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
 from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, moved_off_masks, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
-from f3sr.stages.separate import SeparateConfig, Separated, on_footings_in_place, separate
+from f3sr.stages.separate import SeparateConfig, Separated, on_footings_in_place, on_own_footings, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from f3sr.stages.uncertainty import Uncertain, uncertainty
 from f3sr.uncertainty.config import UncertaintyConfig
@@ -296,7 +296,7 @@ def _made_again(
 
 
 def _balanced(scene: Scene, config: Config) -> SettledScene:
-    """Contact groups at rest near their equilibria, each at the best of up to three, with footings or without.
+    """Contact groups at rest near their equilibria, each at the best of up to three, on either of two footings.
 
     Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where the
     best so far rests."""
@@ -304,7 +304,8 @@ def _balanced(scene: Scene, config: Config) -> SettledScene:
     costs = precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
 
     def ended(*, apart: bool = False, start: Scene | None = None) -> SettledScene:
-        placed = balance(scene, costs, contact, apart=apart, start=start)
+        footed = partial(on_own_footings, config=config.separate)
+        placed = balance(scene, costs, contact, footed=footed, apart=apart, start=start)
         standing = on_footings_in_place(placed, config.separate)
         return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
 

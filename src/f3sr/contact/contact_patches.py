@@ -68,6 +68,16 @@ class Contacts:
             follow=self.follow[rows],
         )
 
+    def joined(self, other: Self) -> Self:
+        """The rows of both."""
+        return type(self)(
+            upper=np.concatenate([self.upper, other.upper]),
+            lower=np.concatenate([self.lower, other.lower]),
+            points=np.concatenate([self.points, other.points]),
+            normals=np.concatenate([self.normals, other.normals]),
+            follow=np.concatenate([self.follow, other.follow]),
+        )
+
     @property
     def pairs(self) -> frozenset[tuple[int, int]]:
         """(upper, lower) ids that touch."""

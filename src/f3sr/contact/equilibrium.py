@@ -10,20 +10,24 @@ lowers this sum: the forces of least virtual work for the present gaps (a linear
 forces (a least-distance programme). As rho grows, gaps that forces need close (a penalty for a mathematical programme
 with complementarity constraints: Ralph and Wright, "Some properties of regularization and penalization schemes for
 MPECs", 2004).
+
+Undersides are guesses, and a footing may fill them in (``contact.footing``). So a body need not turn until it lies on
+its own facet. Forces act on the footing as it would be at the present poses, and close the gap of the body itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from f3sr.contact.compounds import Compound
 from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.crowds import spread
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
-from f3sr.contact.near_contacts import NearContacts, near_contacts
+from f3sr.contact.near_contacts import NearContacts, footing_contacts, near_contacts
 from f3sr.contact.stabilize import CONE_EDGES
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.pose_uncertainty import PARAMETERS, SHIFT, TURN, parameters, similarity
@@ -55,6 +59,10 @@ STILL = 5e-5
 """Largest shift [m] of a step after which the search may end."""
 ENOUGH = 1e4
 """Least rho with which it may end."""
+FITS = 2e-4
+"""Travel [m] up to which a footing is not made anew."""
+FINAL = 1e5
+"""Least rho with which footings stay as they are, and keep out of other bodies like all parts."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,11 +74,28 @@ class BodyMove:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class FootedBody:
+    """A body that may move, in some pose."""
+
+    body: StaticBody
+    """Without its footing."""
+    footing: Compound | None
+    """In the world; None where none would hold it."""
+
+
+Footings = Callable[[Mapping[int, BodyMove], bool], Mapping[int, FootedBody]]
+"""Gives bodies that may move after some moves, each with its footing there. The flag tells that bodies may still
+overlap."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Equilibrium:
     """Where bodies are in balance."""
 
     moves: Mapping[int, BodyMove]
     """Of every body that may move, from where it was."""
+    footed_at: Mapping[int, BodyMove]
+    """The moves for which ``footings`` were made last. The bodies stand on those."""
     cost: float
     """Sum of the squared moves, in standard deviations."""
     work: float
@@ -85,18 +110,20 @@ def nearest_equilibrium(
     ground_friction: float = Ground.friction,
     apart: bool = False,
     start: Mapping[int, BodyMove] | None = None,
+    footings: Footings | None = None,
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
     The minimum is a local one. ``apart`` begins where one joint shift has ended all overlap (``crowds.spread``). A body
     deep inside thin parts is then on the side where the others leave it room. Otherwise overlap ends little by little.
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
+    ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
     body's box.
     """
-    search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction)
+    search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction, footings)
     work = np.inf
     if start:
         search.begin(start)
@@ -104,21 +131,31 @@ def nearest_equilibrium(
         search.spread()
     else:
         for rho, price in FIRST:
+            search.fit(overlapping=True)
             search.step(rho, price=price, tilts=np.zeros((1, 2)))
     for rho in RHOS:
         if start and rho < ENOUGH:
             continue
+        if rho < FINAL:
+            search.fit(overlapping=False)
+        else:
+            search.stand()
         work, shift = search.step(rho, tilts=TILTS)
-        if work < BALANCED and shift < STILL and rho >= ENOUGH:
+        if work < BALANCED and shift < STILL and rho >= (FINAL if footings else ENOUGH):
             break
-    return Equilibrium(moves=search.moves, cost=search.cost, work=work)
+    return Equilibrium(moves=search.moves, footed_at=search.footed_at, cost=search.cost, work=work)
 
 
 class _EquilibriumSearch:
     """Bodies on their way. Moves are scaled so that the cost of x (7 n,) is |x|^2."""
 
     def __init__(
-        self, bodies: Sequence[StaticBody], precisions: Mapping[int, Array], clearance: float, ground_friction: float
+        self,
+        bodies: Sequence[StaticBody],
+        precisions: Mapping[int, Array],
+        clearance: float,
+        ground_friction: float,
+        footings: Footings | None,
     ) -> None:
         self.bodies = {b.id: replace(b, fixed=b.fixed or b.id not in precisions) for b in bodies}
         self.ids = [id for id, b in self.bodies.items() if not b.fixed]
@@ -131,10 +168,34 @@ class _EquilibriumSearch:
         self.x = np.zeros(PARAMETERS * len(self.ids))
         self.hanging = set[int]()
         """What some force could not hold where it was."""
+        self.fitted = footings
+        self.footings: dict[int, Compound] = {}
+        """Those that carry and are no obstacle."""
+        self.footed_at = dict(self.moves)
+        self.travel = np.inf
+        """How far bodies may have moved since then [m]."""
 
     @property
     def cost(self) -> float:
         return float(self.x @ self.x)
+
+    def fit(self, *, overlapping: bool) -> None:
+        """Give bodies the footings for where they are."""
+        if not self.fitted or self.travel < FITS:
+            return
+        found = self.fitted(self.moves, overlapping)
+        self.bodies.update({id: f.body for id, f in found.items()})
+        self.footings = {id: f.footing for id, f in found.items() if f.footing}
+        self.footed_at, self.travel = dict(self.moves), 0.0
+
+    def stand(self) -> None:
+        """Give bodies their last footings, as parts of them."""
+        self.fit(overlapping=False)
+        self.fitted = None
+        for id, footing in self.footings.items():
+            body = self.bodies[id]
+            self.bodies[id] = replace(body, parts=Compound.of((body.parts, footing)))
+        self.footings = {}
 
     def begin(self, moves: Mapping[int, BodyMove]) -> None:
         """Move all bodies at once."""
@@ -157,12 +218,15 @@ class _EquilibriumSearch:
     def step(self, rho: float, *, tilts: Array, price: float | None = None) -> tuple[float, float]:
         """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
         shift [m]. ``price``: of squared overlap, where it may be left."""
-        near = near_contacts({id: b.parts for id, b in self.bodies.items()}, self.ids, sorted(self.hanging))
+        parts = {id: b.parts for id, b in self.bodies.items()}
+        own = near_contacts(parts, self.ids, sorted(self.hanging))
+        near, closing = footing_contacts(own, self.footings, parts)
         forces, work = self._forces(near, tilts)
         rates = self._rates(near.contacts)
-        pull = rho * forces @ rates
+        pull = rho * forces @ rates[closing]
         # |x|^2 / 2 + pull x = |x + pull|^2 / 2 - ..: the shortest y = x + pull, where gaps stay open.
-        rows = np.column_stack([rates, self.clearance - near.gaps + rates @ (self.x + pull)])
+        open = rates[: len(own.gaps)]
+        rows = np.column_stack([open, self.clearance - own.gaps + open @ (self.x + pull)])
         y = nearly(rows, price) if price else shortest(rows)
         if y is None:
             y = nearly(rows, FIRST[-1][1])
@@ -176,12 +240,18 @@ class _EquilibriumSearch:
         steps = {id: self.units[id] @ dx[place] for id, place in self.places.items()}
         for id, q in steps.items():
             T, scale = similarity(q, self.middles[id])
-            self.bodies[id] = self.bodies[id].moved(pose(scale * T[:3, :3], T[:3, 3]))
+            whole = pose(scale * T[:3, :3], T[:3, 3])
+            self.bodies[id] = self.bodies[id].moved(whole)
+            if id in self.footings:
+                self.footings[id] = self.footings[id].moved(whole)
             self.middles[id] = self.middles[id] + q[SHIFT]
             was = self.moves[id]
             t = scale * T[:3, :3] @ was.T[:3, 3] + T[:3, 3]
             self.moves[id] = BodyMove(T=pose(T[:3, :3] @ was.T[:3, :3], t), scale=scale * was.scale)
-        return max(float(np.linalg.norm(q[SHIFT])) for q in steps.values())
+        shifts = {id: float(np.linalg.norm(q[SHIFT])) for id, q in steps.items()}
+        turns = {id: float(np.linalg.norm(q[TURN])) for id, q in steps.items()}
+        self.travel += max(shifts[id] + turns[id] * self.bodies[id].size for id in steps)
+        return max(shifts.values())
 
     def _most(self, id: int, q: Array) -> float:
         """The share of a move that a step allows."""

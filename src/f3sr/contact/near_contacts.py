@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.contact.compounds import Compound, free_travel, near_parts
 from f3sr.contact.contact_patches import Contacts, hull_corners, nearest_facet, patch_of, tangents
@@ -24,6 +25,10 @@ FACES = 0.015
 """Least room between such faces, as a share of the smaller body's size."""
 GROUND_ROOM = 0.02
 """How much farther than its least gap a patch on the ground reaches, as a share of the body's size."""
+UNDER = 0.9
+"""Least cosine between up and the normals at which a footing carries: footings are for slopes of up to .22 rad."""
+ALIKE = 0.95
+"""Least cosine between the normals of a contact of a footing and of the contact of its body that closes its gap."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,6 +37,14 @@ class NearContacts:
 
     contacts: Contacts
     gaps: Array
+
+    def of(self, rows: NDArray[np.bool_]) -> NearContacts:
+        """Some of the rows."""
+        return NearContacts(contacts=self.contacts.of(rows), gaps=self.gaps[rows])
+
+    def joined(self, other: NearContacts) -> NearContacts:
+        """The rows of both."""
+        return NearContacts(contacts=self.contacts.joined(other.contacts), gaps=np.concatenate([self.gaps, other.gaps]))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,6 +78,34 @@ def near_contacts(
         ),
         gaps=np.concatenate([np.empty(0), *(c.gaps for c in corners)]),
     )
+
+
+def footing_contacts(
+    own: NearContacts, footings: Mapping[int, Compound], bodies: Mapping[int, Compound]
+) -> tuple[NearContacts, NDArray[np.int64]]:
+    """The contacts, then those of footings with what is below them; and by which contact each gap closes (n,).
+
+    A body touches before its footing does, which fills the space above. So the gap of a footing closes by the contact
+    of its body that is nearest, with the same other body and a similar normal. Where there is none, by its own."""
+    near, closing = own, np.arange(len(own.gaps))
+    for id, footing in footings.items():
+        more = near_contacts({**bodies, id: footing}, [id])
+        upward = more.contacts.normals[:, 2] * np.where(more.contacts.upper == id, 1.0, -1.0)
+        more = more.of(upward > UNDER)
+        first = len(closing)
+        near = near.joined(more)
+        closing = np.concatenate([closing, _closing(own, more, first)])
+    return near, closing
+
+
+def _closing(own: NearContacts, more: NearContacts, first: int) -> NDArray[np.int64]:
+    """For contacts (k,), numbered from ``first``, the nearest one of ``own`` between the same bodies, or themselves."""
+    a, b = own.contacts, more.contacts
+    same = (a.upper == b.upper[:, None]) & (a.lower == b.lower[:, None])
+    same |= (a.upper == b.lower[:, None]) & (a.lower == b.upper[:, None])
+    gaps = np.where(same & (np.abs(b.normals @ a.normals.T) > ALIKE), own.gaps, np.inf)
+    nearest = gaps.argmin(1) if len(own.gaps) else np.zeros(len(more.gaps), np.int64)
+    return np.where(np.isfinite(gaps).any(1), nearest, first + np.arange(len(more.gaps)))
 
 
 def _between_bodies(bodies: Mapping[int, Compound], moving: Collection[int]) -> Iterator[_Corners]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
-from f3sr.contact.equilibrium import BodyMove, nearest_equilibrium
+from f3sr.contact.compounds import placed
+from f3sr.contact.equilibrium import BodyMove, FootedBody, nearest_equilibrium
 from f3sr.contact.static_bodies import bodies_of
 from f3sr.core.transforms import Array, pose
 from f3sr.metrics.contact_groups import groups_of
@@ -17,11 +21,18 @@ MOST_OBJECTS = 32
 """Most objects of a contact group that is moved into balance; the time grows with the square of their number."""
 
 
+class Footed(Protocol):
+    """Gives footings to some objects where they stand; the objects may still be ``overlapping``."""
+
+    def __call__(self, scene: Scene, ids: Collection[int], /, *, overlapping: bool) -> Scene: ...
+
+
 def balance(
     scene: Scene,
     costs: Mapping[int, Array],
     contact: ContactMargin,
     *,
+    footed: Footed,
     apart: bool = False,
     start: Scene | None = None,
 ) -> Scene:
@@ -29,7 +40,8 @@ def balance(
 
     Supports are not asked: what carries an object follows from the forces. ``costs`` are the (7, 7) precisions of
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
-    ``apart`` begins the search where nothing overlaps, and ``start`` where objects rest in another scene.
+    ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
+    ``start`` where objects rest in another scene.
     """
     bodies = bodies_of(scene)
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
@@ -43,11 +55,26 @@ def balance(
             ground_friction=scene.ground.friction,
             apart=apart,
             start={id: _move(scene[id], start[id]) for id in group} if start else None,
+            footings=partial(_footings, scene, footed),
         )
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
-        moved = [scene[id].moved(m.T, scale=m.scale, stage="refine", reason=told) for id, m in found.moves.items()]
-        scene = scene.with_objects(*moved)
+        there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
+        moved = _moved(scene, found.moves, told)
+        scene = moved.with_objects(*(replace(moved[k], parts=there[k].parts, footing=there[k].footing) for k in group))
     return scene
+
+
+def _footings(scene: Scene, footed: Footed, moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
+    """The bodies of objects after some moves, with the footings that they have there."""
+    there = footed(_moved(scene, moves, ""), sorted(moves), overlapping=overlapping)
+    bodies = bodies_of(replace(there[id], footing=()) for id in moves)
+    footings = {id: placed(o.footing, o.T_world_asset) for id in moves if (o := there[id]).footing}
+    return {b.id: FootedBody(body=b, footing=footings.get(b.id)) for b in bodies}
+
+
+def _moved(scene: Scene, moves: Mapping[int, BodyMove], reason: str) -> Scene:
+    moved = (scene[id].moved(m.T, scale=m.scale, stage="refine", reason=reason) for id, m in moves.items())
+    return scene.with_objects(*moved)
 
 
 def _move(before: SceneObject, after: SceneObject) -> BodyMove:

@@ -14,11 +14,11 @@ from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import take_beside
 from f3sr.stages.separate.placement import Placement
 from f3sr.stages.separate.stability_shifts import steady
-from f3sr.stages.separate.standing import on_footings_in_place, stand
+from f3sr.stages.separate.standing import on_footings_in_place, on_own_footings, stand
 from f3sr.stages.separate.support_contact import grounded
 from f3sr.stages.separate.ways import bring_into_contact
 
-__all__ = ["SeparateConfig", "Separated", "on_footings_in_place", "separate"]
+__all__ = ["SeparateConfig", "Separated", "on_footings_in_place", "on_own_footings", "separate"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from f3sr.contact import tipping
+from f3sr.contact.compounds import placed, smallest_shift
 from f3sr.contact.footing import flush, footing, plane_below
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of, center_of, contacts_of, rigid
@@ -25,6 +27,10 @@ WAYS_BACK = (0.0, 0.5, 1.0)
 """Shares of an object's move along viewing rays that are undone before it is tipped: the candidates."""
 BESIDE = 0.1
 """Largest distance of a neighbour that an object may lean on, as a share of its size."""
+CUTS = 4
+"""Most times that a footing is made shorter."""
+TOUCH = 5e-5
+"""Depth [m] up to which a footing may be inside what carries it."""
 HALVINGS = 3
 """Halvings of the turn until an object lies: they find the least eighth after which a footing holds it."""
 
@@ -62,15 +68,49 @@ def on_footings_in_place(scene: Scene, config: SeparateConfig) -> Scene:
     """The scene with a footing under each object that would then stand as it is; nothing moves.
 
     A footing fills the gap to the support. A round underside gets one only where it touches."""
-    layout = Placement(scene)
-    for id in scene.supports_first:
-        o = layout.object(id)
-        if o.mobility == "fixed" or o.supported_by is None:
-            continue
-        above = max(0.0, gap(layout.bodies[id], id, layout, config))
+    layout = Placement(_without_footings(scene, [o.id for o in scene]))
+    for o in _standing(layout):
+        above = max(0.0, gap(layout.bodies[o.id], o.id, layout, config))
         if _fit_a_footing(layout, o, config, below=above) is None and 0 < above < config.contact.apart:
             _fit_a_footing(layout, o, config, below=0.0)
     return layout.moved_scene()
+
+
+def on_own_footings(scene: Scene, ids: Collection[int], *, overlapping: bool, config: SeparateConfig) -> Scene:
+    """The scene with a footing under each of some objects that would stand on one, were it lowered; nothing moves.
+
+    No footing reaches below the lowest point of its object. Unless objects are still ``overlapping``, it ends over
+    what carries it."""
+    layout = Placement(_without_footings(scene, ids))
+    for o in _standing(layout):
+        if o.id in ids and _fit_a_footing(layout, o, config, below=0.0) and not overlapping:
+            _end_over_carriers(layout, layout.object(o.id), config)
+    return layout.moved_scene()
+
+
+def _without_footings(scene: Scene, ids: Collection[int]) -> Scene:
+    bare = (replace(scene[id], footing=()) for id in ids if scene[id].mobility != "fixed")
+    return scene.with_objects(*bare)
+
+
+def _standing(layout: Placement) -> Iterator[SceneObject]:
+    """Movable objects that something carries, supports first."""
+    objects = (layout.object(id) for id in layout.scene.supports_first)
+    return (o for o in objects if o.mobility != "fixed" and o.supported_by is not None)
+
+
+def _end_over_carriers(layout: Placement, o: SceneObject, config: SeparateConfig) -> None:
+    """Let a footing end over what rises beside the lowest point of its object; where it cannot, there is none."""
+    carriers, low = layout.carriers(o.id), 0.0
+    for _ in range(CUTS):
+        wedges = layout.footings[o.id]
+        over = smallest_shift(placed(wedges, o.T_world_asset), carriers, UP, config.clearance) if wedges else 0.0
+        if over <= TOUCH:
+            return
+        low += over
+        layout.stand(o.id, layout.parts[o.id], ())
+        _fit_a_footing(layout, o, config, below=-low)
+    layout.stand(o.id, layout.parts[o.id], ())
 
 
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
