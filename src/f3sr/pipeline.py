@@ -139,6 +139,7 @@ def reconstruct(
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress, seen=seen)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)
+    balanced = partial(_moved_into_balance, config=config, closes="close" not in skip)
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     early = "assemble" not in run.resumed and "decompose" not in run.skip
@@ -167,7 +168,7 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
-        balanced=partial(again, balances=True),
+        balanced=balanced,
         replaced=again,
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
         realigned=partial(again, aligning=config.align.under_contact()),
@@ -268,31 +269,49 @@ def _made_again(
     config: Config,
     closes: bool,
     gives_up: bool = True,
-    balances: bool = False,
 ) -> SettledScene:
     """The scene after another alignment of some objects, if any, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
     groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
-    closed, but put back. ``balances``: objects go to their nearest equilibrium instead of being separated."""
-    contact = config.refine.contact
+    closed, but put back."""
     aligned = start or scene
     if aligning:
         aligned, _ = align(aligned, aligning, only=ids)
+    contact = config.refine.contact
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
-    if balances:
-        rested = _balanced(retry.scene, config)
-    else:
-        parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
-        rested = _rested(parted, config.settle)
+    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
+    return _ended(retry, _rested(parted, config.settle), config, closes=closes, gives_up=gives_up)
+
+
+def _moved_into_balance(
+    scene: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int], config: Config, closes: bool
+) -> SettledScene:
+    """As ``_made_again``, but ``moving`` objects go to their nearest equilibrium instead of being separated.
+
+    Closing cuts colliders back where they meet. If it moves a group off its masks, the equilibrium is sought once more
+    with what is left of them."""
+    contact, retry = config.refine.contact, Retry.of_moving(scene, start, moving)
+    rested = _balanced(retry.scene, config)
+    best = _ended(retry, rested, config, closes=closes)
+    if moved_off_masks(best, rested, contact):
+        cut = (replace(o, parts=best.scene[o.id].parts) for o in retry.scene if o.id in moving)
+        retry = replace(retry, scene=retry.scene.with_objects(*cut))
+        again = _ended(retry, _balanced(retry.scene, config), config, closes=closes)
+        best = best.or_better(again, contact.apart)
+    return best
+
+
+def _ended(retry: Retry, rested: SettledScene, config: Config, *, closes: bool, gives_up: bool = True) -> SettledScene:
+    """What came to rest as it would be delivered: closed, if it is worth it, and with all that was held free again."""
+    contact, at_rest = config.refine.contact, partial(_rested, config=config.settle)
     retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene
     if closes and retry.moving:
-        at_rest = partial(_rested, config=config.settle)
         scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
-    return retry.ended(replace(rested, scene=scene), contact)
+    return retry.ended(replace(rested, scene=scene), contact, settled=at_rest)
 
 
 def _balanced(scene: Scene, config: Config) -> SettledScene:

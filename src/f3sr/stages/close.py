@@ -56,7 +56,7 @@ class CloseConfig:
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 3
     """Most rounds in which objects are lowered and settled; settling tilts them onto other contacts."""
-    loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    loss: Annotated[float, Interval(ge=0, le=1)] = 0.005
     """Largest mean loss of visible IoU of a group of touching objects. A group that loses more is put back."""
     cut: CutBackConfig = CutBackConfig()
     footing: FootingConfig = FootingConfig()
@@ -110,7 +110,7 @@ def close(
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
-        scene, told, spoiling = _better(scene, tried, changed, config, settled)
+        scene, told, spoiling = _better(start, scene, tried, changed, config, settled)
         decisions += told
         spoilt.update(spoiling)
     after = _gaps(scene)
@@ -131,15 +131,21 @@ def _gap(o: SceneObject, scene: Scene) -> float:
 
 
 def _better(
-    before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], SettledScene]
+    start: Scene,
+    before: Scene,
+    tried: Scene,
+    changed: frozenset[int],
+    config: CloseConfig,
+    settled: Callable[[Scene], SettledScene],
 ) -> tuple[Scene, list[Decision], frozenset[int]]:
-    """``before`` with the groups of ``tried`` that rest after settling and keep their visible IoU.
+    """``before`` with the groups of ``tried`` that rest after settling and keep the visible IoU that they had at the
+    ``start``.
 
     Also returns decisions and the ids of objects that make their group fail. Only groups that changed are settled."""
     moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
-    was, now = visible_ious(before), visible_ious(after)
+    was, now = visible_ious(start), visible_ious(after)
     scene, decisions, spoiling = before, list[Decision](), set[int]()
     for group in groups_of(before, after, config.contact.apart):
         if not group & changed:
@@ -152,7 +158,7 @@ def _better(
             reason += f", and object {_named(restless)} does not come to rest"
         if apart:
             reason += f", and object {_named(apart)}, which was not settled with it, is touched"
-        allowed = max(config.loss, IOU_OF_GAP * _closed(before, after, group & changed))
+        allowed = max(config.loss, IOU_OF_GAP * _closed(start, after, group & changed))
         is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
         choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"

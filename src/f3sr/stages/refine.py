@@ -343,14 +343,19 @@ class Retry:
         held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
         return cls(before=before, scene=aligned.with_objects(*held), moving=moving)
 
-    def ended(self, rested: SettledScene, contact: ContactMargin) -> SettledScene:
-        """The scene with the others free again. What came to touch them does not count as at rest: they were held."""
+    def ended(
+        self, rested: SettledScene, contact: ContactMargin, *, settled: Callable[[Scene], SettledScene]
+    ) -> SettledScene:
+        """The scene with the others free again. What came to touch them is ``settled`` with them, as they were held."""
         scene = rested.scene.with_objects(
             *(replace(o, mobility=self.before[o.id].mobility) for o in rested.scene if o.id not in self.moving)
         )
         groups = groups_of(scene, scene, contact.apart) if len(self.moving) < len(scene.objects) else []
-        mixed = {id for g in groups if g - self.moving for id in g & self.moving}
-        return SettledScene(scene=scene, restless=rested.restless | mixed)
+        mixed = {id for g in groups if g & self.moving and g - self.moving for id in g}
+        if not mixed:
+            return SettledScene(scene=scene, restless=rested.restless)
+        both = settled(replace(scene, objects=tuple(o for o in scene if o.id in mixed)))
+        return SettledScene(scene=scene.with_objects(*both.scene), restless=(rested.restless - mixed) | both.restless)
 
     def without_losers(self, rested: SettledScene, contact: ContactMargin) -> Retry:
         """The retry without groups that lost so much that ``close`` will not win it back: they are as before."""
