@@ -161,7 +161,7 @@ def reconstruct(
     parted, _ = run.stage(Separated, separate, made, config.separate)
     scene, settled = run.stage(Settled, settle, parted, config.settle)
     scene, _ = run.stage(Closed, close, scene, config.close, settled=at_rest, restless=settled.restless)
-    scene, _ = run.stage(
+    scene, refined = run.stage(
         Refined,
         refine,
         scene,
@@ -182,7 +182,7 @@ def reconstruct(
         made=made,
         joins=decomposed.joins,
         settled=partial(_rested, config=config.settle.within(ROUNDS)),
-        restless=settled.restless,
+        restless=refined.restless if "refine" not in run.skip else settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)
     scene, uncertain = run.stage(Uncertain, uncertainty, scene, config.uncertainty)

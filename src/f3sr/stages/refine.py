@@ -83,6 +83,8 @@ class Refined(Outcome):
     stage: ClassVar[str] = "refine"
     seen: tuple[float, float] | None = None
     """mIoU_visible before and after; None where nothing was tried."""
+    restless: frozenset[int] = frozenset()
+    """Ids of the objects that do not rest."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -139,7 +141,7 @@ def refine(
         decisions += [*told, decision]
     state, told = _one_by_one(state, seen, realigned, config)
     decisions += told
-    return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
+    return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
 
 
 def _rounds(
