@@ -14,7 +14,8 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose, rotation_angle
-from f3sr.metrics.contact_groups import SettledScene
+from f3sr.metrics.contact_groups import IOU_OF_GAP, SettledScene
+from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered
 from f3sr.stages.settle import settle
@@ -223,6 +224,30 @@ def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
     after, _ = close(scene, replace(CONFIG, loss=1.0), settled=physics)
     assert given == [[1, 2], [2]], "what spoils its group twice is left alone"
     assert [after[id] is scene[id] for id in (0, 1, 2)] == [True, False, True]
+
+
+def test_rounds_that_lose_little_each_may_not_lose_much_together():
+    """Each round moves the ball aside, and it leaves half of its gap. What is lost counts from the beginning."""
+    ball = ball_on_the_ground()
+    scene = seen(scene_of(ball))
+    start = ball.T_world_object
+
+    def physics(scene: Scene) -> SettledScene:
+        (o,) = scene.objects
+        up = 0.5 * (start[2, 3] - o.T_world_object[2, 3])
+        o = replace(o, T_world_object=pose(t=[0.0004, 0, up]) @ o.T_world_object)
+        return SettledScene(scene=scene.with_objects(o), restless=frozenset())
+
+    def lost(after: Scene) -> float:
+        return visible_ious(scene)[0] - visible_ious(after)[0]
+
+    free, outcome = close(scene, replace(CONFIG, loss=1.0), settled=physics)
+    accepted = sum("accepted" in d.choice for d in outcome.decisions)
+    assert accepted >= 2
+    limit = 0.6 * lost(free)
+    after, told = close(scene, replace(CONFIG, loss=limit), settled=physics)
+    allowed = max(limit, IOU_OF_GAP * (gap(scene, 0) - gap(after, 0)) / ball.size)
+    assert lost(after) <= allowed and sum("accepted" in d.choice for d in told.decisions) <= accepted
 
 
 def test_fixed_and_unsupported_things_are_not_lowered():

@@ -11,12 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bodies import block, body
-from f3sr.contact.compounds import collide
-from f3sr.contact.equilibrium import BodyMove, Equilibrium, nearest_equilibrium
+from f3sr.contact.compounds import Compound, collide
+from f3sr.contact.equilibrium import BodyMove, Equilibrium, FootedBody, nearest_equilibrium
 from f3sr.contact.least_norm import nearly, shortest
-from f3sr.contact.near_contacts import NearContacts, near_contacts
+from f3sr.contact.near_contacts import NearContacts, footing_contacts, near_contacts
+from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stability import stands
 from f3sr.contact.static_bodies import StaticBody
+from f3sr.core.mesh import ConvexPart
 from f3sr.core.pose_uncertainty import parameters, similarity
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
@@ -62,6 +64,73 @@ def test_a_box_that_is_tilted_by_an_error_lies_down_flat():
     after, _ = balanced([body(0, tilted)], {0: EVEN})
     assert stands(after, reach=REACH)
     assert np.ptp(after[0].parts.arrays.vertices[:, 2]) == pytest.approx(0.1, abs=2e-4)
+
+
+def wedge(b: StaticBody, floor: float) -> Polytope:
+    """What is between the four lowest corners of a box and the height of its lowest, at least ``floor`` [m]."""
+    corners = b.parts.arrays.vertices
+    corners = corners[np.argsort(corners[:, 2])[:4]]
+    level = np.column_stack([corners[:, :2], np.full(4, max(floor, corners[:, 2].min()))])
+    return Polytope.of(ConvexPart.hull_of(np.concatenate([corners + np.array([0, 0, 1e-4]), level])))
+
+
+@pytest.mark.parametrize("height", [0.056, 0.049])
+def test_on_a_footing_a_tilted_box_comes_down_and_keeps_its_turn(height: float):
+    """It hangs or is sunk, and its turn is known to .001 rad. Without a footing it turns to its face."""
+    known = EVEN + np.diag([0, 0, 0, 1e6, 1e6, 1e6, 0])
+    tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, height])))
+
+    def footed(moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
+        there = tilted.moved(pose(moves[0].scale * moves[0].T[:3, :3], moves[0].T[:3, 3]))
+        return {0: FootedBody(body=there, footing=Compound.of([wedge(there, -1)]))}
+
+    def turn(found: Equilibrium) -> float:
+        return float(np.linalg.norm(parameters(found.moves[0].T, found.moves[0].scale, middle(tilted))[3:6]))
+
+    found = nearest_equilibrium([tilted], {0: known}, footings=footed)
+    after = moved(tilted, found)
+    assert after.parts.lowest == pytest.approx(GAP, abs=5e-5) and found.work < 1e-4
+    assert turn(found) < 2e-3 and turn(nearest_equilibrium([tilted], {0: known})) > 0.01
+    at = found.footed_at[0]
+    stood = footed({0: at}, False)[0].footing
+    assert stood and stood.moved(found.moves[0].T @ np.linalg.inv(at.T)).lowest == pytest.approx(GAP, abs=1e-4)
+
+
+def test_a_footing_that_is_refused_leaves_the_search_as_without():
+    tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.0517])))
+
+    def bare(moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
+        there = tilted.moved(pose(moves[0].scale * moves[0].T[:3, :3], moves[0].T[:3, 3]))
+        return {0: FootedBody(body=there, footing=None)}
+
+    one, other = (nearest_equilibrium([tilted], {0: EVEN}, footings=f) for f in (bare, None))
+    assert moved(tilted, one).parts.arrays.vertices == pytest.approx(
+        moved(tilted, other).parts.arrays.vertices, abs=2e-4
+    )
+
+
+def test_the_gap_of_a_footing_closes_by_the_nearest_contact_of_its_body():
+    low = body(9, block((0.3, 0.3, 0.1), at=(0, 0, 0.05)), fixed=True)
+    tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.153])))
+    parts = {b.id: b.parts for b in (low, tilted)}
+    own = near_contacts(parts, [0])
+    near, closing = footing_contacts(own, {0: Compound.of([wedge(tilted, -1)])}, parts)
+    more = closing[len(own.gaps) :]
+    assert len(more) >= 4 and set(closing[: len(own.gaps)]) == set(range(len(own.gaps)))
+    assert np.allclose(own.gaps[more], own.gaps.min())
+    assert near.gaps[len(own.gaps) :] == pytest.approx(own.gaps.min(), abs=1e-5)
+
+
+def test_a_footing_carries_from_below_only():
+    """Beside a wall it has contacts with the ground alone."""
+    wall = body(9, block((0.1, 0.3, 0.3), at=(0.1 + GAP, 0, 0.15)), fixed=True)
+    box = body(0, block(at=(0, 0, 0.06)))
+    parts = {b.id: b.parts for b in (wall, box)}
+    own = near_contacts(parts, [0])
+    near, closing = footing_contacts(own, {0: Compound.of([block((0.1, 0.1, 0.01), at=(0, 0, 0.006))])}, parts)
+    more = near.contacts.of(np.arange(len(own.gaps), len(near.gaps)))
+    assert more.pairs == {(0, -1)} and {9} <= set(near.contacts.upper) | set(near.contacts.lower)
+    assert (near.contacts.lower[closing[len(own.gaps) :]] == -1).all()
 
 
 def test_the_support_that_is_known_worst_moves():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,7 +24,8 @@ from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.settling import settle
 from f3sr.scene import GROUND, SceneObject, Support
-from f3sr.stages.separate import SeparateConfig, on_footings_in_place, separate
+from f3sr.stages.balance import balance
+from f3sr.stages.separate import SeparateConfig, on_footings_in_place, on_own_footings, separate
 from scenes import ball_mesh, box, scene_of
 
 CONFIG = FootingConfig()
@@ -353,6 +355,52 @@ def test_what_hangs_has_no_footing_in_place():
     ball_over = replace(ball(0), T_world_object=pose(t=[0, 0, 0.09]))
     high = replace(slanted(np.radians(4)), id=1, T_world_object=pose(t=[0.5, 0, 0.2]))
     assert not any(o.footing for o in on_footings_in_place(scene_of(ball_over, high), SeparateConfig()))
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.0, -0.004])
+def test_an_own_footing_reaches_as_low_as_its_object_wherever_it_is(gap: float):
+    """It closes no gap: the object is to come down with it."""
+    o = slanted(np.radians(4))
+    o = replace(o, T_world_object=pose(t=[0, 0, gap]) @ o.T_world_object)
+    scene = scene_of(o, replace(o, id=1, T_world_object=pose(t=[0.5, 0, 0]) @ o.T_world_object))
+    stood = on_own_footings(scene, [0], overlapping=True, config=SeparateConfig())
+    lowest = min(p.moved(stood[0].T_world_asset).vertices[:, 2].min() for p in stood[0].footing)
+    assert lowest == pytest.approx(gap, abs=1e-6)
+    pairs = zip(scene, stood, strict=True)
+    assert not stood[1].footing and all(np.array_equal(a.T_world_object, b.T_world_object) for a, b in pairs)
+
+
+def test_an_own_footing_ends_over_what_carries_its_object():
+    """Sunk 2 mm into a slab, an object has a footing inside it, or one that ends over it."""
+    o = replace(slanted(np.radians(4)), supported_by=1, supports=(Support(id=1),))
+    o = replace(o, T_world_object=pose(t=[0, 0, -0.002]) @ o.T_world_object)
+    slab = replace(box(1, size=(0.4, 0.4, 0.1), at=(0, 0, -0.05)), mobility="fixed", supported_by=None, supports=())
+    (below,) = bodies_of([slab])
+
+    def inside(overlapping: bool) -> float:
+        stood = on_own_footings(scene_of(o, slab), [0], overlapping=overlapping, config=SeparateConfig())[0]
+        assert stood.footing
+        return smallest_shift(placed(stood.footing, stood.T_world_asset), below.parts, UP)
+
+    assert inside(overlapping=True) == pytest.approx(0.002, abs=1e-5) and inside(overlapping=False) < 1e-4
+
+
+def test_a_stack_on_slanted_undersides_is_balanced_as_the_photo_shows_it_and_rests():
+    low, up = slanted(np.radians(3)), replace(slanted(np.radians(4), height=0.08), id=1)
+    up = replace(
+        up, T_world_object=pose(t=[0, 0, 0.152]) @ up.T_world_object, supported_by=0, supports=(Support(id=0),)
+    )
+    scene = scene_of(low, up)
+    even = 1e5 * np.eye(7)
+    footed = partial(on_own_footings, config=SeparateConfig())
+    placed = balance(scene, {0: even, 1: even}, DEFAULT_MARGIN, footed=footed)
+    after = settle(list(placed))
+    for was, now in zip(scene, placed, strict=True):
+        assert now.footing and rotation_angle(now.T_world_object[:3, :3] @ was.T_world_object[:3, :3].T) < 5e-3
+        end = after.T_world_object[was.id]
+        assert rotation_angle(end[:3, :3] @ now.T_world_object[:3, :3].T) < np.radians(0.2)
+        assert np.linalg.norm(end[:3, 3] - now.T_world_object[:3, 3]) < 1e-3
+    assert after.at_rest
 
 
 def test_without_footings_an_object_is_laid_down_in_its_place():

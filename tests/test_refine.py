@@ -37,6 +37,10 @@ def in_vain(before: Scene, _: Collection[int], **_others: object) -> SettledScen
     return SettledScene(scene=before, restless=frozenset())
 
 
+def unasked(_: Scene) -> SettledScene:
+    raise AssertionError("nothing is to be settled")
+
+
 unbalanced = partial(refine, balanced=in_vain)
 
 
@@ -291,7 +295,7 @@ def test_a_retry_moves_the_group_that_gains_and_holds_the_rest(seen: Scene):
     assert np.array_equal(retry.scene[0].T_world_object, seen[0].T_world_object)
     assert np.array_equal(retry.scene[1].T_world_object, start[1].T_world_object)
     assert retry.scene[1].mobility == "fixed"
-    ended = retry.ended(SettledScene(scene=retry.scene, restless=frozenset()), ONCE.contact)
+    ended = retry.ended(SettledScene(scene=retry.scene, restless=frozenset()), ONCE.contact, settled=unasked)
     assert ended.scene[1].mobility == "dynamic" and not ended.restless
 
 
@@ -307,11 +311,22 @@ def test_a_group_moves_as_a_whole(seen: Scene):
     assert all(np.array_equal(retry.scene[k].T_world_object, aligned[k].T_world_object) for k in (0, 1))
 
 
-def test_what_came_to_touch_a_held_object_does_not_count_as_at_rest(seen: Scene):
+@pytest.mark.parametrize("restless", [[], [1]])
+def test_what_came_to_touch_a_held_object_is_settled_with_it(seen: Scene, restless: list[int]):
+    """It came to rest beside something that was held. Free, both stay, or not."""
     start = shifted(seen, {0: 0.03})
     retry = Retry.of(start, shifted(seen, {0: 0.0}), [0], ONCE.contact)
     touching = retry.scene.with_objects(retry.scene[0].moved(pose(t=[0.4, 0, 0]), stage="test", reason=""))
-    assert retry.ended(SettledScene(scene=touching, restless=frozenset()), ONCE.contact).restless == {0}
+    asked: list[dict[int, str]] = []
+
+    def settled(scene: Scene) -> SettledScene:
+        asked.append({o.id: o.mobility for o in scene})
+        moved = [o.moved(pose(t=[0, 0.01, 0]), stage="settle", reason="") for o in scene]
+        return SettledScene(scene=scene.with_objects(*moved), restless=frozenset(restless))
+
+    ended = retry.ended(SettledScene(scene=touching, restless=frozenset()), ONCE.contact, settled=settled)
+    assert asked == [{0: "dynamic", 1: "dynamic"}] and ended.restless == set(restless)
+    assert all(ended.scene[k].T_world_object[1, 3] == touching[k].T_world_object[1, 3] + 0.01 for k in (0, 1))
 
 
 def test_a_group_that_lost_much_is_put_back_before_its_gaps_are_closed(seen: Scene):
