@@ -235,7 +235,7 @@ def test_rounds_that_lose_little_each_may_not_lose_much_together():
     def physics(scene: Scene) -> SettledScene:
         (o,) = scene.objects
         up = 0.5 * (start[2, 3] - o.T_world_object[2, 3])
-        o = replace(o, T_world_object=pose(t=[0.0004, 0, up]) @ o.T_world_object)
+        o = replace(o, T_world_object=pose(t=[0.004, 0, up]) @ o.T_world_object)
         return SettledScene(scene=scene.with_objects(o), restless=frozenset())
 
     def lost(after: Scene) -> float:
