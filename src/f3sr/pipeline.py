@@ -30,7 +30,7 @@ from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, Aligned, align
 from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
 from f3sr.stages.balance import balance
-from f3sr.stages.close import CloseConfig, Closed, close
+from f3sr.stages.close import CloseConfig, Closed, close, lowered
 from f3sr.stages.coarsen import ROUNDS, CoarsenConfig, Coarsened, coarsen
 from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
@@ -291,13 +291,14 @@ def _moved_into_balance(
 ) -> SettledScene:
     """As ``_made_again``, but ``moving`` objects go to their nearest equilibrium instead of being separated.
 
-    Closing cuts colliders back where they meet. If it moves a group off its masks, the equilibrium is sought once more
-    with what is left of them."""
+    Closing cuts colliders back where they meet. If it then moves a group off its masks, the equilibrium is sought once
+    more, with colliders that are cut back as to lower the group from the first one."""
     contact, retry = config.refine.contact, Retry.of_moving(scene, start, moving)
     rested = _balanced(retry.scene, config)
     best = _ended(retry, rested, config, closes=closes)
     if moved_off_masks(best, rested, contact):
-        cut = (replace(o, parts=best.scene[o.id].parts) for o in retry.scene if o.id in moving)
+        down = lowered(rested.scene, config.close)
+        cut = (replace(o, parts=down[o.id].parts) for o in retry.scene if o.id in moving)
         retry = replace(retry, scene=retry.scene.with_objects(*cut))
         again = _ended(retry, _balanced(retry.scene, config), config, closes=closes)
         best = best.or_better(again, contact.apart)
