@@ -40,7 +40,10 @@ def balanced(bodies: Sequence[StaticBody], precisions: Mapping[int, Array]) -> t
 def moved(b: StaticBody, found: Equilibrium) -> StaticBody:
     if b.id not in found.moves:
         return b
-    move = found.moves[b.id]
+    return after_move(b, found.moves[b.id])
+
+
+def after_move(b: StaticBody, move: BodyMove) -> StaticBody:
     return b.moved(pose(move.scale * move.T[:3, :3], move.T[:3, 3]))
 
 
@@ -66,11 +69,11 @@ def test_a_box_that_is_tilted_by_an_error_lies_down_flat():
     assert np.ptp(after[0].parts.arrays.vertices[:, 2]) == pytest.approx(0.1, abs=2e-4)
 
 
-def wedge(b: StaticBody, floor: float) -> Polytope:
-    """What is between the four lowest corners of a box and the height of its lowest, at least ``floor`` [m]."""
+def wedge(b: StaticBody) -> Polytope:
+    """What is between the four lowest corners of a box and the height of its lowest."""
     corners = b.parts.arrays.vertices
     corners = corners[np.argsort(corners[:, 2])[:4]]
-    level = np.column_stack([corners[:, :2], np.full(4, max(floor, corners[:, 2].min()))])
+    level = np.column_stack([corners[:, :2], np.full(4, corners[:, 2].min())])
     return Polytope.of(ConvexPart.hull_of(np.concatenate([corners + np.array([0, 0, 1e-4]), level])))
 
 
@@ -81,8 +84,8 @@ def test_on_a_footing_a_tilted_box_comes_down_and_keeps_its_turn(height: float):
     tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, height])))
 
     def footed(moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
-        there = tilted.moved(pose(moves[0].scale * moves[0].T[:3, :3], moves[0].T[:3, 3]))
-        return {0: FootedBody(body=there, footing=Compound.of([wedge(there, -1)]))}
+        there = after_move(tilted, moves[0])
+        return {0: FootedBody(body=there, footing=Compound.of([wedge(there)]))}
 
     def turn(found: Equilibrium) -> float:
         return float(np.linalg.norm(parameters(found.moves[0].T, found.moves[0].scale, middle(tilted))[3:6]))
@@ -96,11 +99,23 @@ def test_on_a_footing_a_tilted_box_comes_down_and_keeps_its_turn(height: float):
     assert stood and stood.moved(found.moves[0].T @ np.linalg.inv(at.T)).lowest == pytest.approx(GAP, abs=1e-4)
 
 
+def test_footings_are_asked_for_again_once_bodies_overlap_no_more_even_if_none_moved():
+    """What may be inside other bodies while these overlap may not be so at the end."""
+    box, flags = body(0, block(at=(0, 0, 0.05 + GAP))), list[bool]()
+
+    def footed(moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
+        flags.append(overlapping)
+        return {0: FootedBody(body=after_move(box, moves[0]), footing=None)}
+
+    found = nearest_equilibrium([box], {0: EVEN}, footings=footed)
+    assert found.cost < 1e-2 and flags == [True, False]
+
+
 def test_a_footing_that_is_refused_leaves_the_search_as_without():
     tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.0517])))
 
     def bare(moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:
-        there = tilted.moved(pose(moves[0].scale * moves[0].T[:3, :3], moves[0].T[:3, 3]))
+        there = after_move(tilted, moves[0])
         return {0: FootedBody(body=there, footing=None)}
 
     one, other = (nearest_equilibrium([tilted], {0: EVEN}, footings=f) for f in (bare, None))
@@ -114,7 +129,7 @@ def test_the_gap_of_a_footing_closes_by_the_nearest_contact_of_its_body():
     tilted = body(0, block(at=(0, 0, 0)).moved(pose(rotation_about([1, 0, 0], 0.03), [0, 0, 0.153])))
     parts = {b.id: b.parts for b in (low, tilted)}
     own = near_contacts(parts, [0])
-    near, closing = footing_contacts(own, {0: Compound.of([wedge(tilted, -1)])}, parts)
+    near, closing = footing_contacts(own, {0: Compound.of([wedge(tilted)])}, parts)
     more = closing[len(own.gaps) :]
     assert len(more) >= 4 and set(closing[: len(own.gaps)]) == set(range(len(own.gaps)))
     assert np.allclose(own.gaps[more], own.gaps.min())

@@ -174,6 +174,8 @@ class _EquilibriumSearch:
         self.footed_at = dict(self.moves)
         self.travel = np.inf
         """How far bodies may have moved since then [m]."""
+        self.overlapping = True
+        """Whether they could overlap then."""
 
     @property
     def cost(self) -> float:
@@ -181,12 +183,12 @@ class _EquilibriumSearch:
 
     def fit(self, *, overlapping: bool) -> None:
         """Give bodies the footings for where they are."""
-        if not self.fitted or self.travel < FITS:
+        if not self.fitted or (self.travel < FITS and overlapping == self.overlapping):
             return
         found = self.fitted(self.moves, overlapping)
         self.bodies.update({id: f.body for id, f in found.items()})
         self.footings = {id: f.footing for id, f in found.items() if f.footing}
-        self.footed_at, self.travel = dict(self.moves), 0.0
+        self.footed_at, self.travel, self.overlapping = dict(self.moves), 0.0, overlapping
 
     def stand(self) -> None:
         """Give bodies their last footings, as parts of them."""
@@ -225,8 +227,8 @@ class _EquilibriumSearch:
         rates = self._rates(near.contacts)
         pull = rho * forces @ rates[closing]
         # |x|^2 / 2 + pull x = |x + pull|^2 / 2 - ..: the shortest y = x + pull, where gaps stay open.
-        open = rates[: len(own.gaps)]
-        rows = np.column_stack([open, self.clearance - own.gaps + open @ (self.x + pull)])
+        opening = rates[: len(own.gaps)]
+        rows = np.column_stack([opening, self.clearance - own.gaps + opening @ (self.x + pull)])
         y = nearly(rows, price) if price else shortest(rows)
         if y is None:
             y = nearly(rows, FIRST[-1][1])

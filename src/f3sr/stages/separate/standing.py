@@ -38,15 +38,12 @@ HALVINGS = 3
 def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Make every object stable before physics, supports first: as it is, on a footing, or tipped until it lies."""
     decisions: list[Decision] = []
-    for id in layout.scene.supports_first:
-        o = layout.object(id)
-        if o.mobility == "fixed" or o.supported_by is None:
-            continue
-        decision = None if _is_held_above(layout, id, config) else _put_on_a_footing(layout, o, config)
-        if decision is None and layout.missing[id]:
-            _lower_without_footing(layout, id, config)
-            decision = _put_on_a_footing(layout, layout.object(id), config)
-        decision = decision or _lie_down(layout, layout.object(id), config)
+    for o in _standing(layout):
+        decision = None if _is_held_above(layout, o.id, config) else _put_on_a_footing(layout, o, config)
+        if decision is None and layout.missing[o.id]:
+            _lower_without_footing(layout, o.id, config)
+            decision = _put_on_a_footing(layout, layout.object(o.id), config)
+        decision = decision or _lie_down(layout, layout.object(o.id), config)
         if decision:
             decisions.append(decision)
     return decisions
