@@ -27,6 +27,7 @@ from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.crowds import spread
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
+from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.near_contacts import NearContacts, footing_contacts, near_contacts
 from f3sr.contact.stabilize import CONE_EDGES
 from f3sr.contact.static_bodies import StaticBody
@@ -263,7 +264,6 @@ class _EquilibriumSearch:
 
     def _forces(self, near: NearContacts, tilts: Array) -> tuple[Array, float]:
         """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres."""
-        from scipy.optimize import linprog
         from scipy.sparse import eye_array, hstack
 
         group = [self.bodies[id] for id in self.ids]
@@ -274,16 +274,17 @@ class _EquilibriumSearch:
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
         forces, left, work = np.zeros(len(near.gaps)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
+        programme = LinearProgramme(cost, equal, left, left)
         for tilt, c in cases:
             upright, lean = balance.weights(c)
-            found = linprog(cost, A_eq=equal, b_eq=upright + lean @ tilt, method="highs")
-            if found.x is None:  # rounding: no force is known to be needed
+            found = programme.solve(equal=upright + lean @ tilt)
+            if found is None:  # rounding: no force is known to be needed
                 work.append(np.inf)
                 continue
             pushes, slack = found.x[: -2 * rows].reshape(-1, CONE_EDGES), found.x[-2 * rows :]
             forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
             left = np.maximum(left, slack.reshape(2, rows).max(0))
-            work.append(found.fun / mean)
+            work.append(found.value / mean)
         self.hanging |= {id for id, most in zip(self.ids, left.reshape(-1, 6).max(1), strict=True) if most > UNHELD}
         return forces, float(np.mean(work))
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact.contact_patches import Contacts, hull_corners, tangents
+from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.transforms import UP, Array, cross
 from f3sr.scene import GROUND
@@ -65,6 +66,7 @@ class Balance:
         self.edges = self._cone_edges()
         self.units = self._units()
         self.wrenches = self._wrenches()
+        self._programmes: dict[tuple[int, bool], LinearProgramme] = {}
 
     def _cone_edges(self) -> Array:
         """(k, e, 3): forces with a normal part of 1 along the edges of every contact's pyramid."""
@@ -176,28 +178,29 @@ class Balance:
 
         ``still``: no tilt at all.
         """
-        from scipy.optimize import linprog
-
-        equations, upright = self._equations[center]
         n = self.wrenches.shape[1]
-        reach = 0.0 if still else STEEPEST
-        bounds = np.empty((n + 2, 2))
-        bounds[:n], bounds[n:] = (0, np.inf), (-reach, reach)
+        programme = self._programme(center, still=still)
         # Maximise u . tilt.
-        solution = linprog(np.r_[np.zeros(n), -u], A_eq=equations, b_eq=upright, bounds=bounds, method="highs")
-        if solution.status != 0:
+        solution = programme.solve(cost=np.r_[np.zeros(n), -u])
+        if solution is None:
             return None
         tilt = solution.x[n:]
         return tilt, float(u @ tilt)
 
-    @cached_property
-    def _equations(self) -> list[tuple[Any, Array]]:
-        """By set of centres: the sparse (6 n, k e + 2) of forces along edges and of the tilt's two tangents, and (6 n,)
-        what they give, ``wrenches f = upright + lean tilt``."""
-        from scipy.sparse import csc_array, hstack
+    def _programme(self, center: int, *, still: bool) -> LinearProgramme:
+        """That of forces along edges and of the tilt's two tangents, (k e + 2,), with a set of centres:
+        ``wrenches f = upright + lean tilt``."""
+        if (center, still) not in self._programmes:
+            from scipy.sparse import csc_array, hstack
 
-        weights = [self.weights(c) for c in range(self.choices)]
-        return [(hstack([self.wrenches, csc_array(-lean)], format="csc"), upright) for upright, lean in weights]
+            upright, lean = self.weights(center)
+            equations = hstack([self.wrenches, csc_array(-lean)], format="csc")
+            n, reach = self.wrenches.shape[1], 0.0 if still else STEEPEST
+            low, high = np.r_[np.zeros(n), -reach, -reach], np.r_[np.full(n, np.inf), reach, reach]
+            self._programmes[center, still] = LinearProgramme(
+                np.zeros(n + 2), equations, upright, upright, low=low, high=high
+            )
+        return self._programmes[center, still]
 
     def moving(self) -> frozenset[int]:
         """Which bodies move under untilted gravity, with one set of centres or another."""
@@ -205,18 +208,17 @@ class Balance:
 
     def _moving(self, center: int) -> frozenset[int]:
         """Those of the virtual motion that gains most at bounded speed: it is dual to the least unbalanced wrench."""
-        from scipy.optimize import linprog
         from scipy.sparse import eye_array, hstack
 
         rows, n = self.wrenches.shape
         # Least L1 norm of an unbalanced wrench, split into positive and negative parts; its dual is a virtual motion.
-        solution = linprog(
-            np.r_[np.zeros(n), np.ones(2 * rows)],
-            A_eq=hstack([self.wrenches, eye_array(rows), -eye_array(rows)], format="csc"),
-            b_eq=self.weights(center)[0],
-            method="highs",
-        )
-        return self._movers(solution.eqlin.marginals) if solution.fun > 1e-6 else frozenset()
+        upright, _ = self.weights(center)
+        cost = np.r_[np.zeros(n), np.ones(2 * rows)]
+        equations = hstack([self.wrenches, eye_array(rows), -eye_array(rows)])
+        solution = LinearProgramme(cost, equations, upright, upright).solve()
+        if solution is None:  # rounding: not known to be balanced
+            return frozenset(self.place)
+        return self._movers(solution.duals) if solution.value > 1e-6 else frozenset()
 
     def _movers(self, motion: Array) -> frozenset[int]:
         # Six marginals a body: its velocity, and its angular velocity times its size.

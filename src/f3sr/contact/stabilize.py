@@ -16,6 +16,7 @@ import numpy as np
 
 from f3sr.contact.compounds import Compound, collide, forbidden_polygons, free_travel, smallest_shift
 from f3sr.contact.force_balance import Balance, Eased
+from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.core.support_forest import carried, chain_below, supports_first
 from f3sr.core.transforms import UP, Array, pose
@@ -290,7 +291,6 @@ class _Programme:
 
     def solve(self) -> dict[int, Array]:
         """Horizontal steps (2,) [m] per id."""
-        from scipy.optimize import linprog
         from scipy.sparse import block_diag, csc_array, eye_array, hstack
 
         rows, n = self.balance.wrenches.shape
@@ -305,20 +305,14 @@ class _Programme:
         free = count * (n + 2 * rows)
         slack = np.tile(np.r_[np.zeros(n), np.full(2 * rows, UNBALANCED / count)], count)
         cost = np.r_[slack, np.zeros(shifts), np.ones(len(self.ids))]
-        bounds = np.array([[0, np.inf]] * free + [[-np.inf, np.inf]] * shifts + [[0, np.inf]] * len(self.ids))
+        low = np.r_[np.zeros(free), np.full(shifts, -np.inf), np.zeros(len(self.ids))]
+        programme = LinearProgramme(cost, equal, wanted, wanted, low=low)
         below, limits = self._bounds()
         steps = np.zeros((len(self.ids), 2))
         for _ in range(CUTS):
-            solution = linprog(
-                cost,
-                A_eq=equal.tocsc(),
-                b_eq=wanted,
-                A_ub=hstack([csc_array((len(limits), free)), csc_array(below)], format="csc"),
-                b_ub=limits,
-                bounds=bounds,
-                method="highs",
-            )
-            if solution.status != 0:
+            programme.add(hstack([csc_array((len(limits), free)), csc_array(below)]), limits)
+            solution = programme.solve()
+            if solution is None:
                 break
             steps = solution.x[free : free + shifts].reshape(-1, 2)
             # The programme measures shifts by polygons around circles: in a corner it thinks them too short.
@@ -326,7 +320,7 @@ class _Programme:
             if sum(map(np.linalg.norm, true)) <= told.sum() * (1 + EXACT) + SEATED:
                 break
             more = [self._measured(i, toward) for i, toward in enumerate(true)]
-            below, limits = np.vstack([below, *(r for r, _ in more)]), np.r_[limits, [limit for _, limit in more]]
+            below, limits = np.stack([r for r, _ in more]), np.array([limit for _, limit in more])
         return dict(zip(self.ids, steps, strict=True))
 
     def _weighed(self, i: int, step: Array) -> Array:
