@@ -311,6 +311,17 @@ def test_a_group_moves_as_a_whole(seen: Scene):
     assert all(np.array_equal(retry.scene[k].T_world_object, aligned[k].T_world_object) for k in (0, 1))
 
 
+def test_of_a_group_that_loses_as_a_whole_only_what_gains_is_aligned(touching: Scene):
+    """The first gains less than the second loses. Where the first loses too, both are held."""
+    start = shifted(touching, {0: 0.03})
+    aligned = shifted(touching, {0: 0.01, 1: 0.06})
+    retry = Retry.of(start, aligned, [0, 1], ONCE.contact)
+    assert retry.moving == {0, 1}
+    assert np.array_equal(retry.scene[0].T_world_object, aligned[0].T_world_object)
+    assert np.array_equal(retry.scene[1].T_world_object, start[1].T_world_object)
+    assert not Retry.of(start, shifted(touching, {0: 0.05, 1: 0.06}), [0, 1], ONCE.contact).moving
+
+
 @pytest.mark.parametrize("restless", [[], [1]])
 def test_what_came_to_touch_a_held_object_is_settled_with_it(seen: Scene, restless: list[int]):
     """It came to rest beside something that was held. Free, both stay, or not."""

@@ -330,14 +330,24 @@ class Retry:
 
     @classmethod
     def of(cls, before: Scene, aligned: Scene, ids: Collection[int], contact: ContactMargin) -> Retry:
-        """Groups in which some of the aligned objects ``ids`` gain, before physics takes its part; all else is held.
+        """Groups that gain by the alignment of the objects ``ids``, before physics takes its part; all else is held.
 
-        What gains may need room that its neighbours leave by their alignment, so a group moves as a whole."""
-        was, now = (SettledScene(scene=scene, restless=frozenset()).scores for scene in (before, aligned))
-        gaining = frozenset(id for id in ids if now[id] > was[id] + GAIN)
-        groups = groups_of(before, aligned, contact.apart)
-        moving = frozenset(id for g in groups if g & gaining for id in g)
-        return cls.of_moving(before, before.with_objects(*(aligned[id] for id in ids if id in moving)), moving)
+        What gains may need room that its neighbours leave by their alignment, so a group moves as a whole. Of a group
+        that does not gain as a whole only what gains is aligned. If it gains nothing then either, contact adds nothing:
+        it gained in none of 25 attempts."""
+
+        def scores(scene: Scene) -> Mapping[int, float]:
+            return SettledScene(scene=scene, restless=frozenset()).scores
+
+        def gaining(was: Mapping[int, float], after: Scene, now: Mapping[int, float]) -> frozenset[int]:
+            groups = groups_of(before, after, contact.apart)
+            return frozenset(id for g in groups if g.intersection(ids) and _gain(g, was, now) > GAIN for id in g)
+
+        was, now = scores(before), scores(aligned)
+        whole = gaining(was, aligned, now)
+        start = before.with_objects(*(aligned[id] for id in ids if id in whole or now[id] > was[id] + GAIN))
+        moving = gaining(was, start, scores(start))
+        return cls.of_moving(before, before.with_objects(*(start[id] for id in ids if id in moving)), moving)
 
     @classmethod
     def of_moving(cls, before: Scene, aligned: Scene, moving: frozenset[int]) -> Retry:
