@@ -136,6 +136,16 @@ def test_the_gap_of_a_footing_closes_by_the_nearest_contact_of_its_body():
     assert near.gaps[len(own.gaps) :] == pytest.approx(own.gaps.min(), abs=1e-5)
 
 
+@pytest.mark.parametrize("deep", [0.001, 0.0, -0.001])
+def test_the_least_gap_to_a_part_that_is_thinner_than_the_room_for_patches_is_found(deep: float):
+    """A floor of 2 mm, and a bottom that bulges by 1 mm: moved by the room of a small turn, the floor is past it."""
+    floor = Compound.of([block((0.3, 0.3, 0.002), at=(0, 0, 0.499))])
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.501, 0.6)])
+    bulge = np.concatenate([corners, [[0.02, 0.01, 0.5]]]) - [0, 0, deep]
+    bodies = {0: floor, 1: Compound.of([Polytope.of(ConvexPart.hull_of(bulge))])}
+    assert near_contacts(bodies, [1]).gaps.min() == pytest.approx(-deep, abs=1e-6)
+
+
 def test_a_footing_carries_from_below_only():
     """Beside a wall it has contacts with the ground alone."""
     wall = body(9, block((0.1, 0.3, 0.3), at=(0.1 + GAP, 0, 0.15)), fixed=True)

@@ -124,19 +124,42 @@ def _between(a: int, first: Compound, b: int, second: Compound, size: float, rea
 
 
 def _corners(a: Polytope, b: Polytope, n: Array, gap: float, size: float) -> tuple[Array, Array, Array] | None:
+    """Corners of the patch between two parts along n (3,): points, ways in which they follow, and gaps."""
     angle = float(np.arccos(min(1.0, (a.normals @ n).max(), (b.normals @ -n).max())))
-    shift = gap + ROOM + (size * max(FACES, np.sin(angle)) if angle < PARALLEL else 0.0)
-    patch = patch_of(a, b, n, shift)
-    if patch is None:
+    nearest, room = gap + ROOM, size * max(FACES, np.sin(angle)) if angle < PARALLEL else 0.0
+    found = _patch(a, b, n, nearest + room)
+    if room and (not found or found[2].min() > gap + ROOM / 100):
+        # A part that is thinner than the room has been moved past the places that are nearest.
+        found = _joined(_patch(a, b, n, nearest), found)
+    if found is None:
         return None
-    at = patch.points + shift / 2 * n
-    gaps = shift - _way_out(a, at - shift * n, n) - _way_out(b, at, -n)
-    # What lies inside an outline says nothing more. The near half has its own outline, as of an edge above a face.
+    points, follow, gaps = found
+    # What lies inside an outline says nothing more, but for the nearest place of all, as of a bulge. The near half has
+    # its own outline, as of an edge above a face.
     low = np.flatnonzero(gaps <= (gaps.min() + gaps.max()) / 2)
     u, v = tangents(n)
-    places = np.stack([patch.points @ u, patch.points @ v], axis=1)
-    kept = np.union1d(hull_corners(places, ROOM / 100), low[hull_corners(places[low], ROOM / 100)])
-    return patch.points[kept], patch.follow[kept], gaps[kept]
+    places = np.stack([points @ u, points @ v], axis=1)
+    outlines = hull_corners(places, ROOM / 100), low[hull_corners(places[low], ROOM / 100)]
+    kept = np.unique(np.concatenate([*outlines, [gaps.argmin()]]))
+    return points[kept], follow[kept], gaps[kept]
+
+
+def _patch(a: Polytope, b: Polytope, n: Array, reach: float) -> tuple[Array, Array, Array] | None:
+    """Corners of where ``a``, moved by ``reach`` [m] along n, overlaps ``b``, each with the gap there."""
+    patch = patch_of(a, b, n, reach)
+    if patch is None:
+        return None
+    at = patch.points + reach / 2 * n
+    return patch.points, patch.follow, reach - _way_out(a, at - reach * n, n) - _way_out(b, at, -n)
+
+
+def _joined(
+    one: tuple[Array, Array, Array] | None, other: tuple[Array, Array, Array] | None
+) -> tuple[Array, Array, Array] | None:
+    if one is None or other is None:
+        return one or other
+    points, follow, gaps = (np.concatenate(pair) for pair in zip(one, other, strict=True))
+    return points, follow, gaps
 
 
 def _way_out(part: Polytope, points: Array, direction: Array) -> Array:
