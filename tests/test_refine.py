@@ -212,6 +212,24 @@ def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_f
     ]
 
 
+def test_what_was_re_aligned_alone_in_vain_is_not_tried_again(touching: Scene):
+    """Together the second spoils what the first gains. Alone, the first ends farther off its mask."""
+    start = shifted(touching, {0: 0.03})
+    calls: list[list[int]] = []
+
+    def again(scene: Scene, ids: Collection[int], **_others: object) -> SettledScene:
+        calls.append(list(ids))
+        there = shifted(touching, {0: 0.01, 1: 0.08} if len(ids) > 1 else {0: 0.05})
+        return SettledScene(scene=scene.with_objects(*(there[id] for id in ids)), restless=frozenset())
+
+    after, outcome = unbalanced(
+        start, ONCE, aligned=touching, parted=start, stood_up=again, replaced=in_vain, realigned=again
+    )
+    assert calls[:2] == [[0, 1], [0]] and calls.count([0]) == 1
+    assert [d.choice for d in outcome.decisions].count("re-alignment under contact of 0 alone: rolled back") == 2
+    assert np.array_equal(after[0].T_world_object, start[0].T_world_object)
+
+
 @pytest.mark.parametrize("leads", ["from where it rests", "from where it is placed again"])
 def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touching: Scene, leads: str):
     """Placing again halves the loss; one of the two starts leads on to the masks, the other nowhere."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
@@ -111,6 +112,7 @@ def refine(
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
+    realigned = _remembered(realigned)
     state = SettledScene(scene=scene, restless=frozenset(restless))
     seen = SettledScene(scene=_seen_by(scene.camera, aligned), restless=frozenset())
     before = state.seen
@@ -142,6 +144,12 @@ def refine(
     state, told = _one_by_one(state, seen, realigned, config)
     decisions += told
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
+
+
+def _remembered(realigned: Retried) -> Retried:
+    """The same of one scene and the same objects is not done again: what ended in vain in a round would do so alone."""
+    known = cache(realigned)
+    return lambda scene, ids: known(scene, tuple(ids))
 
 
 def _rounds(
