@@ -128,7 +128,7 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
         asked.append((start, ids, moving))
         return SettledScene(scene=start, restless=frozenset())
 
-    unbalanced(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=stood_up)
+    unbalanced(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=in_vain)
     [(scene, ids, moving)] = asked
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
 
@@ -157,7 +157,7 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
         found = touching if len(asked) == helps else halved if helps else before
         return SettledScene(scene=found, restless=frozenset())
 
-    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+    def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
     after, _ = unbalanced(
@@ -182,7 +182,7 @@ def test_what_fell_away_is_placed_again_with_its_group(touching: Scene):
         asked.append(ids)
         return SettledScene(scene=touching, restless=frozenset())
 
-    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+    def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
     after, _ = unbalanced(
@@ -239,7 +239,7 @@ def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touchin
     def replaced(_: Scene, __: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=halved, restless=frozenset())
 
-    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+    def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         is_far = np.array_equal(scene[0].T_world_object, start[0].T_world_object)
         return SettledScene(scene=touching if is_far == far else scene, restless=frozenset())
 
@@ -254,7 +254,7 @@ def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: 
     def never(*_: object, **_others: object) -> SettledScene:
         raise AssertionError
 
-    def realigned(scene: Scene, ids: Collection[int]) -> SettledScene:
+    def realigned(scene: Scene, ids: Collection[int], **_others: object) -> SettledScene:
         assert scene[0].mask is seen[0].mask and len(ids) == 1  # what stands alone is re-aligned alone
         return SettledScene(scene=scene, restless=frozenset())
 
@@ -379,7 +379,7 @@ def test_after_three_that_gained_nothing_alone_the_others_are_left():
         """The objects that are re-aligned alone where only the ``helped``-th of them gains."""
         alone.clear()
 
-        def realigned(now: Scene, ids: Collection[int]) -> SettledScene:
+        def realigned(now: Scene, ids: Collection[int], **_others: object) -> SettledScene:
             alone.extend(ids)
             found = [scene[id] for id in ids if len(alone) == helped]
             return SettledScene(scene=now.with_objects(*found), restless=frozenset())
@@ -411,7 +411,7 @@ def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo
     def never(*_: object, **_others: object) -> SettledScene:
         raise AssertionError
 
-    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+    def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
     after, outcome = refine(
@@ -421,3 +421,23 @@ def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo
     assert outcome.decisions[0].choice == "moved to the nearest equilibrium: object 0, 1: accepted"
     for o in after:
         assert o.T_world_object == pytest.approx(touching[o.id].T_world_object, abs=1e-12)
+
+
+@pytest.mark.parametrize("helps", [True, False])
+def test_what_is_in_balance_is_balanced_again_after_re_alignment(touching: Scene, helps: bool):
+    """And what has not gone to an equilibrium is not."""
+    start = shifted(touching, {0: 0.06, 1: 0.06})
+    told: list[frozenset[int]] = []
+
+    def balanced(before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        return SettledScene(scene=start if helps else before, restless=frozenset())
+
+    def realigned(scene: Scene, _: Collection[int], *, balanced: frozenset[int]) -> SettledScene:
+        told.append(balanced)
+        return SettledScene(scene=scene, restless=frozenset())
+
+    refine(
+        start, ONCE, aligned=touching, parted=start, stood_up=in_vain, balanced=balanced, replaced=in_vain,
+        realigned=realigned,
+    )  # fmt: skip
+    assert told and set(told) == {frozenset({0, 1}) if helps else frozenset()}

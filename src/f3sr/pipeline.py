@@ -265,6 +265,7 @@ def _made_again(
     *,
     start: Scene | None = None,
     moving: frozenset[int] | None = None,
+    balanced: frozenset[int] = frozenset(),
     aligning: AlignConfig | None = None,
     config: Config,
     closes: bool,
@@ -273,8 +274,8 @@ def _made_again(
     """The scene after another alignment of some objects, if any, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
-    groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
-    closed, but put back."""
+    groups move that gain by the alignment. They are separated, but for what is ``balanced``: with such objects all go
+    to the nearest equilibrium. ``gives_up``: groups that lost too much by then are not closed, but put back."""
     aligned = start or scene
     if aligning:
         aligned, _ = align(aligned, aligning, only=ids)
@@ -282,8 +283,12 @@ def _made_again(
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
-    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
-    return _ended(retry, _rested(parted, config.settle), config, closes=closes, gives_up=gives_up)
+    if retry.moving & balanced:
+        rested = _nearest_balance(retry.scene, config)
+    else:
+        parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
+        rested = _rested(parted, config.settle)
+    return _ended(retry, rested, config, closes=closes, gives_up=gives_up)
 
 
 def _moved_into_balance(
@@ -316,25 +321,27 @@ def _ended(retry: Retry, rested: SettledScene, config: Config, *, closes: bool, 
 
 
 def _balanced(scene: Scene, config: Config) -> SettledScene:
-    """Contact groups at rest near their equilibria, each at the best of up to three, on either of two footings.
+    """Contact groups at rest near their equilibria, each at the best of up to three.
 
     Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where the
     best so far rests."""
     contact, seen = config.refine.contact, SettledScene(scene=scene, restless=frozenset())
-    costs = precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
-
-    def ended(*, apart: bool = False, start: Scene | None = None) -> SettledScene:
-        footed = partial(on_own_footings, config=config.separate)
-        placed = balance(scene, costs, contact, footed=footed, apart=apart, start=start)
-        standing = on_footings_in_place(placed, config.separate)
-        return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
-
-    best = ended()
+    best = _nearest_balance(scene, config)
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(ended(apart=True), contact.apart)
+        best = best.or_better(_nearest_balance(scene, config, apart=True), contact.apart)
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(ended(start=best.scene), contact.apart)
+        best = best.or_better(_nearest_balance(scene, config, start=best.scene), contact.apart)
     return best
+
+
+def _nearest_balance(scene: Scene, config: Config, *, apart: bool = False, start: Scene | None = None) -> SettledScene:
+    """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
+    contact = config.refine.contact
+    costs = precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
+    footed = partial(on_own_footings, config=config.separate)
+    placed = balance(scene, costs, contact, footed=footed, apart=apart, start=start)
+    standing = on_footings_in_place(placed, config.separate)
+    return _rested(placed, config.settle).or_better(_rested(standing, config.settle), contact.apart)
 
 
 def settling(config: Config) -> Restarted:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
@@ -69,6 +69,12 @@ Retried = Callable[[Scene, Collection[int]], SettledScene]
 """Moves some objects of a scene at rest and settles what that affects."""
 
 
+class Realigned(Protocol):
+    """Aligns some objects of a scene at rest and settles what that affects; what is ``balanced`` by an equilibrium."""
+
+    def __call__(self, before: Scene, ids: Collection[int], /, *, balanced: frozenset[int]) -> SettledScene: ...
+
+
 class Restarted(Protocol):
     """Settles some objects, ``moving``, from where they are in ``start``; those of ``ids`` are aligned first.
 
@@ -101,7 +107,7 @@ def refine(
     stood_up: Restarted,
     balanced: Restarted,
     replaced: Restarted,
-    realigned: Retried,
+    realigned: Realigned,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
@@ -112,7 +118,6 @@ def refine(
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
-    realigned = _remembered(realigned)
     state = SettledScene(scene=scene, restless=frozenset(restless))
     seen = SettledScene(scene=_seen_by(scene.camera, aligned), restless=frozenset())
     before = state.seen
@@ -130,18 +135,18 @@ def refine(
         tried = balanced(state.scene, lost, start=start, moving=frozenset(lost))
         state, decision, unbalanced = _better(state, tried, lost, step, config)
         decisions.append(decision)
-    came = state
-    state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
+    came, again = state, _remembered(partial(realigned, balanced=frozenset(lost).difference(unbalanced)))
+    state, told = _rounds(came, [o.id for o in came.scene], again, config)
     decisions += told
     lost = sorted(moved_off_masks(state, seen, config.contact).intersection(unbalanced))
     placed, told = _placed_again(came, lost, seen, replaced, config)
     decisions += told
     if placed is not came:
-        placed, told = _rounds(placed, lost, realigned, config)
+        placed, told = _rounds(placed, lost, again, config)
         step = f"placed again and then re-aligned object {_named(lost)}"
         state, decision, _ = _better(state, placed, lost, step, config)
         decisions += [*told, decision]
-    state, told = _one_by_one(state, seen, realigned, config)
+    state, told = _one_by_one(state, seen, again, config)
     decisions += told
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
 
