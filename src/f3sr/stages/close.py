@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,8 +27,6 @@ from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import constants, settings
 
-TRIES = 2
-"""Maximum attempts to lower an object whose move makes its group fail. Then the others go down without it."""
 STEPS = 24
 """Maximum number of contacts that are cut free, one by one, while one object is lowered."""
 
@@ -103,16 +100,16 @@ def close(
     config = config or CloseConfig()
     left = {id for g in groups_of(scene, scene, config.contact.apart) if g.intersection(restless) for id in g}
     start, gaps = scene, _gaps(scene)
-    decisions, spoilt = list[Decision](), Counter[int]()
+    decisions, spoilt = list[Decision](), set[int]()
     for k in range(config.rounds):
         wider = replace(config, cut=replace(config.cut, radius=min(0.5, config.cut.radius * 2**k)))
-        tried = lowered(scene, wider, but=left.union(id for id, times in spoilt.items() if times >= TRIES))
+        tried = lowered(scene, wider, but=left | spoilt)
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
         scene, told, spoiling = _better(start, scene, tried, changed, config, settled)
         decisions += told
-        spoilt.update(spoiling)
+        spoilt |= spoiling
     after = _gaps(scene)
     cut = [(start[o.id], o) for o in scene if o.parts is not start[o.id].parts]
     return scene, Closed(
