@@ -14,6 +14,7 @@ from f3sr.backends.registry import Backend
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
 from f3sr.core.pose_uncertainty import PoseUncertainty
+from f3sr.core.transforms import Array
 from f3sr.errors import NoAnswerError, require_kind, require_names
 from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
@@ -284,7 +285,7 @@ def _made_again(
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
     if retry.moving & balanced:
-        rested = _nearest_balance(retry.scene, config)
+        rested = _nearest_balance(retry.scene, _costs(retry.scene, config), config)
     else:
         parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
         rested = _rested(parted, config.settle)
@@ -326,18 +327,25 @@ def _balanced(scene: Scene, config: Config) -> SettledScene:
     Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where the
     best so far rests."""
     contact, seen = config.refine.contact, SettledScene(scene=scene, restless=frozenset())
-    best = _nearest_balance(scene, config)
+    search = partial(_nearest_balance, scene, _costs(scene, config), config)
+    best = search()
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(_nearest_balance(scene, config, apart=True), contact.apart)
+        best = best.or_better(search(apart=True), contact.apart)
     if moved_off_masks(best, seen, contact):
-        best = best.or_better(_nearest_balance(scene, config, start=best.scene), contact.apart)
+        best = best.or_better(search(start=best.scene), contact.apart)
     return best
 
 
-def _nearest_balance(scene: Scene, config: Config, *, apart: bool = False, start: Scene | None = None) -> SettledScene:
+def _costs(scene: Scene, config: Config) -> Mapping[int, Array]:
+    """What moves of each free object cost in ``balance``, by id."""
+    return precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
+
+
+def _nearest_balance(
+    scene: Scene, costs: Mapping[int, Array], config: Config, *, apart: bool = False, start: Scene | None = None
+) -> SettledScene:
     """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
     contact = config.refine.contact
-    costs = precisions(scene, [o.id for o in scene if o.mobility != "fixed"], config.uncertainty)
     footed = partial(on_own_footings, config=config.separate)
     placed = balance(scene, costs, contact, footed=footed, apart=apart, start=start)
     standing = on_footings_in_place(placed, config.separate)

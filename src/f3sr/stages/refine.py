@@ -346,8 +346,8 @@ class Retry:
         """Groups that gain by the alignment of the objects ``ids``, before physics takes its part; all else is held.
 
         What gains may need room that its neighbours leave by their alignment, so a group moves as a whole. Of a group
-        that does not gain as a whole only what gains is aligned. If it gains nothing then either, contact adds nothing:
-        it gained in none of 25 attempts."""
+        that does not gain as a whole only what gains is aligned. A group that does not gain by that either is held:
+        contact adds little, and in none of 25 such attempts a group gained in the end."""
 
         def scores(scene: Scene) -> Mapping[int, float]:
             return SettledScene(scene=scene, restless=frozenset()).scores
