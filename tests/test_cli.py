@@ -315,7 +315,7 @@ def test_the_doctor_finds_this_machine_able(capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json"]) == 0
     checks = {(c["group"], c["name"]): c for c in json.loads(capsys.readouterr().out)["checks"]}
     assert not [c for c in checks.values() if c["state"] == "failed"]
-    for part in (("decomposition", "cuts"), ("physics", "MuJoCo"), ("assets", "given")):
+    for part in (("decomposition", "cuts"), ("statics", "HiGHS"), ("physics", "MuJoCo"), ("assets", "given")):
         assert checks[part]["state"] == "ok"
     assert {"numpy", "numba", "mujoco-core", "manifold3d", "f3sr", "Python"} <= {name for _, name in checks}
 

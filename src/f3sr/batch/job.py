@@ -27,8 +27,8 @@ DEEPEST = 3
 UNKEYED = ("name", "source", "allow_downloads")
 """What a job says that its result does not depend on."""
 NUMERIC = (
-    *("numpy", "scipy", "numba", "mujoco-core", "manifold3d", "trimesh", "fast-simplification", "pillow", "av"),
-    "jinja2",
+    *("numpy", "scipy", "highspy", "numba", "mujoco-core", "manifold3d", "trimesh", "fast-simplification"),
+    *("pillow", "av", "jinja2"),
 )
 """Libraries whose version may change a byte of a package."""
 

@@ -116,6 +116,7 @@ def _parts() -> Iterator[Check]:
     yield _check("geometry", "given", "geometry.npz, or depth.png|npy with intrinsics.json")
     yield _tried("assets", "given", _glb_round_trip)
     yield _tried("decomposition", "cuts", _decomposed)
+    yield _tried("statics", "HiGHS", _balanced)
     yield _tried("physics", "MuJoCo", _dropped)
     yield _tried("solids", "manifold3d", _united)
     yield _tried("film", "H.264", _filmed)
@@ -177,6 +178,16 @@ def _dropped() -> str:
     if not fallen.at_rest or abs(height - 0.05) > 1e-3:
         raise RuntimeError(f"a box dropped on the ground ended {1000 * height:.1f} mm high instead of 50")
     return f"{_version('mujoco-core')}, a dropped box came to rest"
+
+
+def _balanced() -> str:
+    from f3sr.contact.linear_programme import LinearProgramme
+
+    load = np.array([3.0])
+    found = LinearProgramme(np.array([2.0, 1.0]), np.ones((1, 2)), load, load, high=2.0).solve()
+    if found is None or abs(found.value - 4.0) > 1e-6:
+        raise RuntimeError(f"the cheapest two forces for a load of 3 cost {found and found.value} instead of 4")
+    return "forces of a linear programme right"
 
 
 def _united() -> str:
