@@ -39,7 +39,7 @@ LOADED = (
     *("f3sr.cli.main", "f3sr.pipeline", "f3sr.delivery", "f3sr.scene_samples", "f3sr.proxies.worker"),
     *("f3sr.scene_package.package", "f3sr.report_page", "f3sr.exporters.protocol", "mujoco", "manifold3d"),
     *("fast_simplification", "scipy.optimize", "scipy.spatial", "scipy.ndimage", "scipy.special", "rich.table"),
-    *("f3sr.lifting.lifted_assets", "f3sr.metrology.ground_metrology", "trimesh", "typeguard", "jinja2"),
+    *("f3sr.lifting.lifted_assets", "f3sr.metrology.ground_metrology", "highspy", "trimesh", "typeguard", "jinja2"),
 )
 """What runs of the command import, early or late."""
 
