@@ -184,7 +184,7 @@ def _balanced() -> str:
     from f3sr.contact.linear_programme import LinearProgramme
 
     load = np.array([3.0])
-    found = LinearProgramme(np.array([2.0, 1.0]), np.ones((1, 2)), load, load, high=2.0).solve()
+    found = LinearProgramme(np.array([2.0, 1.0]), np.ones((1, 2)), load, high=2.0).solve()
     if found is None or abs(found.value - 4.0) > 1e-6:
         raise RuntimeError(f"the cheapest two forces for a load of 3 cost {found and found.value} instead of 4")
     return "forces of a linear programme right"

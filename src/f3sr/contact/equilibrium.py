@@ -274,7 +274,7 @@ class _EquilibriumSearch:
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
         forces, left, work = np.zeros(len(near.gaps)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
-        programme = LinearProgramme(cost, equal, left, left)
+        programme = LinearProgramme(cost, equal, np.zeros(rows))
         for tilt, c in cases:
             upright, lean = balance.weights(c)
             found = programme.solve(equal=upright + lean @ tilt)

@@ -197,9 +197,7 @@ class Balance:
             equations = hstack([self.wrenches, csc_array(-lean)], format="csc")
             n, reach = self.wrenches.shape[1], 0.0 if still else STEEPEST
             low, high = np.r_[np.zeros(n), -reach, -reach], np.r_[np.full(n, np.inf), reach, reach]
-            self._programmes[center, still] = LinearProgramme(
-                np.zeros(n + 2), equations, upright, upright, low=low, high=high
-            )
+            self._programmes[center, still] = LinearProgramme(np.zeros(n + 2), equations, upright, low=low, high=high)
         return self._programmes[center, still]
 
     def moving(self) -> frozenset[int]:
@@ -215,7 +213,7 @@ class Balance:
         upright, _ = self.weights(center)
         cost = np.r_[np.zeros(n), np.ones(2 * rows)]
         equations = hstack([self.wrenches, eye_array(rows), -eye_array(rows)])
-        solution = LinearProgramme(cost, equations, upright, upright).solve()
+        solution = LinearProgramme(cost, equations, upright).solve()
         if solution is None:  # rounding: not known to be balanced
             return frozenset(self.place)
         return self._movers(solution.duals) if solution.value > 1e-6 else frozenset()

@@ -28,18 +28,17 @@ class Optimum:
 
 
 class LinearProgramme:
-    """``cost @ x`` is to be least with ``at_least <= rows @ x <= at_most`` and ``low <= x <= high``.
+    """``cost @ x`` is to be least with ``rows @ x = equal`` and ``low <= x <= high``.
 
-    ``rows`` is a sparse matrix (k, n); ``at_least`` and ``at_most`` (k,) are equal where a row is an equation; ``low``
-    and ``high`` are numbers or (n,). Equal calls in equal order give equal optima.
+    ``rows`` is a sparse matrix (k, n), ``equal`` (k,); ``low`` and ``high`` are numbers or (n,). Equal calls in equal
+    order give equal optima.
     """
 
     def __init__(
         self,
         cost: Array,
         rows: Any,
-        at_least: Array,
-        at_most: Array,
+        equal: Array,
         *,
         low: Array | float = 0.0,
         high: Array | float = np.inf,
@@ -52,7 +51,7 @@ class LinearProgramme:
         model.num_row_, model.num_col_ = matrix.shape
         model.col_cost_ = cost
         model.col_lower_, model.col_upper_ = (np.broadcast_to(v, cost.shape).astype(float) for v in (low, high))
-        model.row_lower_, model.row_upper_ = at_least, at_most
+        model.row_lower_, model.row_upper_ = equal, equal
         model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
         model.a_matrix_.start_, model.a_matrix_.index_ = matrix.indptr, matrix.indices
         model.a_matrix_.value_ = matrix.data
@@ -71,8 +70,8 @@ class LinearProgramme:
         self._solver.addRows(len(at_most), lowest, at_most, more.nnz, more.indptr[:-1], more.indices, more.data)
 
     def solve(self, *, cost: Array | None = None, equal: Array | None = None) -> Optimum | None:
-        """The optimum, from now on with another ``cost`` (n,), or with ``equal`` (k,) for both sides of all rows. None
-        where no x is allowed, or where rounding keeps the solver from an end."""
+        """The optimum, from now on with another ``cost`` (n,) or other right sides ``equal`` (k,). None where no x is
+        allowed, where the cost has no bound, or where rounding keeps the solver from an end."""
         import highspy
 
         if cost is not None:

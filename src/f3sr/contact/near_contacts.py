@@ -127,13 +127,13 @@ def _corners(a: Polytope, b: Polytope, n: Array, gap: float, size: float) -> tup
     """Corners of the patch between two parts along n (3,): points, ways in which they follow, and gaps."""
     angle = float(np.arccos(min(1.0, (a.normals @ n).max(), (b.normals @ -n).max())))
     nearest, room = gap + ROOM, size * max(FACES, np.sin(angle)) if angle < PARALLEL else 0.0
-    found = _patch(a, b, n, nearest + room)
-    if room and (not found or found[2].min() > gap + ROOM / 100):
-        # A part that is thinner than the room has been moved past the places that are nearest.
-        found = _joined(_patch(a, b, n, nearest), found)
-    if found is None:
+    wide = _patch(a, b, n, nearest + room)
+    # A part that is thinner than the room has been moved past the places that are nearest.
+    is_past = room and (not wide or wide[2].min() > gap + ROOM / 100)
+    found = [patch for patch in (_patch(a, b, n, nearest) if is_past else None, wide) if patch]
+    if not found:
         return None
-    points, follow, gaps = found
+    points, follow, gaps = map(np.concatenate, zip(*found, strict=True))
     # What lies inside an outline says nothing more, but for the nearest place of all, as of a bulge. The near half has
     # its own outline, as of an edge above a face.
     low = np.flatnonzero(gaps <= (gaps.min() + gaps.max()) / 2)
@@ -151,15 +151,6 @@ def _patch(a: Polytope, b: Polytope, n: Array, reach: float) -> tuple[Array, Arr
         return None
     at = patch.points + reach / 2 * n
     return patch.points, patch.follow, reach - _way_out(a, at - reach * n, n) - _way_out(b, at, -n)
-
-
-def _joined(
-    one: tuple[Array, Array, Array] | None, other: tuple[Array, Array, Array] | None
-) -> tuple[Array, Array, Array] | None:
-    if one is None or other is None:
-        return one or other
-    points, follow, gaps = (np.concatenate(pair) for pair in zip(one, other, strict=True))
-    return points, follow, gaps
 
 
 def _way_out(part: Polytope, points: Array, direction: Array) -> Array:

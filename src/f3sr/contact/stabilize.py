@@ -306,7 +306,7 @@ class _Programme:
         slack = np.tile(np.r_[np.zeros(n), np.full(2 * rows, UNBALANCED / count)], count)
         cost = np.r_[slack, np.zeros(shifts), np.ones(len(self.ids))]
         low = np.r_[np.zeros(free), np.full(shifts, -np.inf), np.zeros(len(self.ids))]
-        programme = LinearProgramme(cost, equal, wanted, wanted, low=low)
+        programme = LinearProgramme(cost, equal, wanted, low=low)
         below, limits = self._bounds()
         steps = np.zeros((len(self.ids), 2))
         for _ in range(CUTS):
