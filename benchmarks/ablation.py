@@ -27,7 +27,8 @@ import contact_report
 import peers
 import staged
 from f3sr import pipeline
-from f3sr.pipeline import Config, Reconstruction
+from f3sr.pipeline import Reconstruction
+from f3sr.pipeline_config import Config
 from f3sr.report import Outcome
 from f3sr.runtime import kernels
 from f3sr.scene import Scene, SceneObject

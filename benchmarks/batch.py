@@ -55,7 +55,7 @@ def drive(inputs: Path, out: str, options: argparse.Namespace) -> None:
     from f3sr.batch.job import Job
     from f3sr.batch.runs import RunPlan, run_batch
     from f3sr.batch.supervisor import JobLimits
-    from f3sr.pipeline import Config
+    from f3sr.pipeline_config import Config
 
     limits = JobLimits(wall_s=options.wall, memory_mb=MEMORY_MB, storage_wait_s=120.0)
     plan = RunPlan(slots=options.jobs, limits=limits, retries=options.retries, ray=options.address, work="stub_job")

@@ -28,7 +28,8 @@ from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.io import inputs
 from f3sr.metrics import measures
-from f3sr.pipeline import Config, Reconstruction
+from f3sr.pipeline import Reconstruction
+from f3sr.pipeline_config import Config
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store, code_version
 from f3sr.scene import Scene

@@ -19,7 +19,8 @@ import f3sr
 import tables
 from f3sr.core.transforms import UP, rotation_about, rotation_angle, turn_about
 from f3sr.metrics.measures import full_silhouette
-from f3sr.pipeline import Config, as_given, assemble, level
+from f3sr.pipeline import as_given, assemble, level
+from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.vision.occlusion import nearer_objects, visible_region

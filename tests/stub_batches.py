@@ -14,7 +14,7 @@ from f3sr.batch.job import Job
 from f3sr.batch.runs import RunPlan, run_batch
 from f3sr.batch.supervisor import JobLimits
 from f3sr.dataset.storage import files_of
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 
 LIMITS = JobLimits(wall_s=20.0, memory_mb=400.0, storage_wait_s=20.0)
 

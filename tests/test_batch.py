@@ -40,7 +40,7 @@ from f3sr.dataset.storage import RECORD
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.film.studio import FilmConfig
 from f3sr.goals.file_names import ROLLOUT
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.runtime import signals
 from f3sr.runtime.progress import silent
 from goal_scene import goal_package

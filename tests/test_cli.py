@@ -20,7 +20,7 @@ from f3sr import example, options, pipeline, settings
 from f3sr.cli import doctor
 from f3sr.cli.main import main
 from f3sr.metrics.measures import IMAGE_MEASURES
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.runtime import signals
 from f3sr.scene_package.package import read_package
 from folders import write_folder

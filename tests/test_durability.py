@@ -22,7 +22,7 @@ import pytest
 import forked
 from f3sr import settings
 from f3sr.errors import OutputError
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.report import Outcome
 from f3sr.runtime.result_store import Store
 from f3sr.runtime.stage_runner import Runner

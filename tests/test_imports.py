@@ -69,6 +69,8 @@ FLOORS = (
     ("goals", "uncertainty"),
     ("language.grammar",),
     ("stages", "launches", "lifting"),
+    ("pipeline_config",),
+    ("contact_retries",),
     ("pipeline",),
     ("language", "report_page"),
     ("play", "delivery", "scene_samples", "scene_export", "photo_inputs"),

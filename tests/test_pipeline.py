@@ -14,7 +14,8 @@ from f3sr import pipeline
 from f3sr.core.mesh import Mesh
 from f3sr.errors import InputError
 from f3sr.io import inputs
-from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
+from f3sr.pipeline import SKIPPABLE, Reconstruction, reconstruct
+from f3sr.pipeline_config import Config
 from f3sr.play.goal_loop import replay_plan, simulate_goal
 from f3sr.proxies import ProxyConfig, decomposing
 from f3sr.runtime.result_store import Store

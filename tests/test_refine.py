@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from functools import partial
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from f3sr.contact_retries import Retry
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
-from f3sr.stages.refine import RETURNS, RefineConfig, Retry, refine
+from f3sr.stages.refine import RETURNS, RefineConfig, Refined, Retries, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
@@ -33,7 +35,7 @@ def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
     return scene.with_objects(*moved)
 
 
-def in_vain(before: Scene, _: Collection[int], **_others: object) -> SettledScene:
+def in_vain(before: Scene, *_: object, **_others: object) -> SettledScene:
     return SettledScene(scene=before, restless=frozenset())
 
 
@@ -41,7 +43,19 @@ def unasked(_: Scene) -> SettledScene:
     raise AssertionError("nothing is to be settled")
 
 
-unbalanced = partial(refine, balanced=in_vain)
+def retried(
+    start: Scene,
+    config: RefineConfig,
+    *,
+    aligned: Scene,
+    parted: Scene,
+    restless: Collection[int] = (),
+    **retries: Callable[..., SettledScene],
+) -> tuple[Scene, Refined]:
+    """``refine`` with some retries; the others are in vain."""
+    methods = dict.fromkeys(("stood_up", "balanced", "replaced", "realigned"), in_vain)
+    given = cast(Retries, SimpleNamespace(**methods | retries))
+    return refine(start, config, aligned=aligned, parted=parted, retries=given, restless=restless)
 
 
 def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
@@ -49,9 +63,7 @@ def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), befor
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    return unbalanced(
-        start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again, restless=before
-    )[0]
+    return retried(start, ONCE, aligned=start, parted=start, realigned=again, restless=before)[0]
 
 
 def test_the_one_that_gains_is_kept_and_the_one_that_loses_undone(seen: Scene):
@@ -93,9 +105,7 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = unbalanced(
-        start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again
-    )
+    after, outcome = retried(start, ONCE, aligned=start, parted=start, realigned=again)
     assert calls == [[0, 1], [0]]
     assert [d.choice.rsplit(": ")[-1] for d in outcome.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
@@ -128,7 +138,7 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
         asked.append((start, ids, moving))
         return SettledScene(scene=start, restless=frozenset())
 
-    unbalanced(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=in_vain)
+    retried(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=in_vain)
     [(scene, ids, moving)] = asked
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
 
@@ -149,10 +159,8 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
     start, halved = (shifted(touching, {0: x, 1: x}) for x in (0.06, 0.03))
     asked: list[Scene] = []
 
-    def replaced(
-        before: Scene, ids: Collection[int], *, start: Scene = start, moving: frozenset[int] = frozenset()
-    ) -> SettledScene:
-        assert set(ids) == set(moving) == {0, 1}
+    def replaced(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        assert moving == {0, 1}
         asked.append(start)
         found = touching if len(asked) == helps else halved if helps else before
         return SettledScene(scene=found, restless=frozenset())
@@ -160,9 +168,7 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
     def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, _ = unbalanced(
-        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
-    )
+    after, _ = retried(start, NO_ROUND, aligned=touching, parted=start, replaced=replaced, realigned=realigned)
     assert len(asked) == (helps or 1) <= RETURNS
     assert np.array_equal(after[0].T_world_object, (touching if helps else start)[0].T_world_object)
     eye = touching.camera.center
@@ -178,17 +184,15 @@ def test_what_fell_away_is_placed_again_with_its_group(touching: Scene):
     start = shifted(touching, {1: 0.5})  # it touches nothing any more
     asked: list[Collection[int]] = []
 
-    def replaced(_: Scene, ids: Collection[int], **_others: object) -> SettledScene:
-        asked.append(ids)
+    def replaced(_: Scene, *, moving: frozenset[int], **_others: object) -> SettledScene:
+        asked.append(moving)
         return SettledScene(scene=touching, restless=frozenset())
 
     def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, _ = unbalanced(
-        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
-    )
-    assert asked == [[0, 1]]
+    after, _ = retried(start, NO_ROUND, aligned=touching, parted=start, replaced=replaced, realigned=realigned)
+    assert asked == [{0, 1}]
     assert np.array_equal(after[1].T_world_object, touching[1].T_world_object)
 
 
@@ -202,10 +206,8 @@ def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_f
         tried = touching if len(ids) == 1 else shifted(touching, {0: 0.0, 1: 0.2})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = unbalanced(
-        start, NO_ROUND, aligned=touching, parted=start, stood_up=again, replaced=again, realigned=again
-    )
-    assert calls[-2:] == [[0], [1]] and [0, 1] in calls
+    after, outcome = retried(start, NO_ROUND, aligned=touching, parted=start, realigned=again)
+    assert calls == [[0], [1]]
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
     assert [d.choice for d in outcome.decisions[-2:]] == [
         f"re-alignment under contact of {id} alone: accepted" for id in (0, 1)
@@ -222,11 +224,9 @@ def test_what_was_re_aligned_alone_in_vain_is_not_tried_again(touching: Scene):
         there = shifted(touching, {0: 0.01, 1: 0.08} if len(ids) > 1 else {0: 0.05})
         return SettledScene(scene=scene.with_objects(*(there[id] for id in ids)), restless=frozenset())
 
-    after, outcome = unbalanced(
-        start, ONCE, aligned=touching, parted=start, stood_up=again, replaced=in_vain, realigned=again
-    )
+    after, outcome = retried(start, ONCE, aligned=touching, parted=start, realigned=again)
     assert calls[:2] == [[0, 1], [0]] and calls.count([0]) == 1
-    assert [d.choice for d in outcome.decisions].count("re-alignment under contact of 0 alone: rolled back") == 2
+    assert [d.choice for d in outcome.decisions].count("re-alignment under contact of 0 alone: rolled back") == 1
     assert np.array_equal(after[0].T_world_object, start[0].T_world_object)
 
 
@@ -236,16 +236,14 @@ def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touchin
     start, halved = (shifted(touching, {0: x, 1: x}) for x in (0.06, 0.03))
     far = leads == "from where it rests"
 
-    def replaced(_: Scene, __: Collection[int], **_others: object) -> SettledScene:
+    def replaced(*_: object, **_others: object) -> SettledScene:
         return SettledScene(scene=halved, restless=frozenset())
 
     def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         is_far = np.array_equal(scene[0].T_world_object, start[0].T_world_object)
         return SettledScene(scene=touching if is_far == far else scene, restless=frozenset())
 
-    after, outcome = unbalanced(
-        start, ONCE, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
-    )
+    after, outcome = retried(start, ONCE, aligned=touching, parted=start, replaced=replaced, realigned=realigned)
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
     assert any("placed again" in d.choice for d in outcome.decisions) != far
 
@@ -260,7 +258,7 @@ def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: 
 
     for aligned, x in ((seen, 0.03), (touching, 0.0005)):
         start = shifted(aligned, {0: x, 1: x})
-        unbalanced(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=realigned)
+        retried(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=realigned)
 
 
 def test_a_round_without_gain_is_the_last(seen: Scene):
@@ -270,9 +268,7 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 
-    scene, outcome = unbalanced(
-        seen, RefineConfig(), aligned=seen, parted=seen, stood_up=again, replaced=again, realigned=again
-    )
+    scene, outcome = retried(seen, RefineConfig(), aligned=seen, parted=seen, realigned=again)
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
 
@@ -384,7 +380,7 @@ def test_after_three_that_gained_nothing_alone_the_others_are_left():
             found = [scene[id] for id in ids if len(alone) == helped]
             return SettledScene(scene=now.with_objects(*found), restless=frozenset())
 
-        unbalanced(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
+        retried(start, NO_ROUND, aligned=scene, parted=start, stood_up=never, replaced=never, realigned=realigned)
         return alone
 
     def never(*_: object, **_others: object) -> SettledScene:
@@ -404,8 +400,8 @@ def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo
     aligned = replace(touching, objects=moved, camera=touching.camera.moved(lower @ touching.camera.T_world_camera))
     start = shifted(touching, {0: 0.06, 1: 0.06})
 
-    def balanced(before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        assert before is not start and set(ids) == moving == {0, 1}
+    def balanced(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        assert before is not start and moving == {0, 1}
         return SettledScene(scene=start, restless=frozenset())
 
     def never(*_: object, **_others: object) -> SettledScene:
@@ -414,7 +410,7 @@ def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo
     def realigned(scene: Scene, _: Collection[int], **_others: object) -> SettledScene:
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, outcome = refine(
+    after, outcome = retried(
         start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, balanced=balanced, replaced=never,
         realigned=realigned,
     )  # fmt: skip
@@ -429,15 +425,15 @@ def test_what_is_in_balance_is_balanced_again_after_re_alignment(touching: Scene
     start = shifted(touching, {0: 0.06, 1: 0.06})
     told: list[frozenset[int]] = []
 
-    def balanced(before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
+    def balanced(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
         return SettledScene(scene=start if helps else before, restless=frozenset())
 
     def realigned(scene: Scene, _: Collection[int], *, balanced: frozenset[int]) -> SettledScene:
         told.append(balanced)
         return SettledScene(scene=scene, restless=frozenset())
 
-    refine(
-        start, ONCE, aligned=touching, parted=start, stood_up=in_vain, balanced=balanced, replaced=in_vain,
+    retried(
+        start, ONCE, aligned=touching, parted=start, balanced=balanced,
         realigned=realigned,
     )  # fmt: skip
     assert told and set(told) == {frozenset({0, 1}) if helps else frozenset()}

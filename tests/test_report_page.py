@@ -29,7 +29,8 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
 from f3sr.physics.contact_margin import ContactMargin
-from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
+from f3sr.pipeline import SKIPPABLE, Reconstruction, reconstruct
+from f3sr.pipeline_config import Config
 from f3sr.report import Decision, Outcome
 from f3sr.report_page import LARGEST_PAGE, report_page
 from f3sr.report_page.formatting import number

@@ -14,7 +14,8 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
 from f3sr.options import SKIPPABLE
 from f3sr.physics.settling import SettleConfig
-from f3sr.pipeline import Config, Reconstruction, reconstruct
+from f3sr.pipeline import Reconstruction, reconstruct
+from f3sr.pipeline_config import Config
 from f3sr.proxies import Excess
 from f3sr.report import Outcome
 from f3sr.runtime import scene_serialization

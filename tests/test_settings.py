@@ -17,7 +17,7 @@ from f3sr.errors import InputError
 from f3sr.options import SKIPPABLE
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.pipeline import Config, with_shared_settings
+from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.stages.align import AlignConfig
 from f3sr.stages.align.config import CameraConfig, SearchConfig
 

@@ -13,11 +13,12 @@ import pytest
 
 import f3sr
 from f3sr.cli.main import main
+from f3sr.contact_retries import ContactRetries
 from f3sr.core.camera import Camera
 from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.core.transforms import Array, pose, rotation_from_vector, skew
 from f3sr.errors import InputError
-from f3sr.pipeline import Config, settling
+from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.play.sample_rollouts import SuccessRate
 from f3sr.scene import GROUND, Ground, Scene, Support
 from f3sr.stages.uncertainty import uncertainty
@@ -228,7 +229,7 @@ def test_a_group_that_moves_as_one_keeps_its_contacts(pile: Scene):
 
 def test_samples_rest_and_meet_the_masks_and_repeat(pile: Scene):
     covariances = Information.of(pile, UncertaintyConfig()).conditional()
-    settle = settling(Config())
+    settle = ContactRetries(config=with_shared_settings(Config())).settled
 
     def drawn(seed: int, tries: int) -> list[Sample]:
         scenes = draw(pile, covariances, settle, SamplingConfig(), seed=seed)
@@ -253,7 +254,7 @@ def test_what_falls_is_no_sample(pile: Scene):
     covariances = Information.of(pile, UncertaintyConfig()).conditional()
     away = pose(t=np.array([1.0, 0, 0]))
 
-    def falls(before: Scene, ids: object, /, *, start: Scene, moving: frozenset[int]) -> sampling.SettledScene:
+    def falls(before: Scene, /, *, start: Scene, moving: frozenset[int]) -> sampling.SettledScene:
         gone = start.with_objects(*(start[id].moved(away, stage="test", reason="") for id in sorted(moving)))
         return sampling.SettledScene(scene=gone, restless=frozenset())
 

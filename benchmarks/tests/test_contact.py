@@ -21,7 +21,7 @@ from f3sr import pipeline
 from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import pose, rotation_about
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.report import Report
 from f3sr.scene import GROUND, Scene
 from scenes import box, box_stack_scene, scene_of

@@ -28,7 +28,7 @@ _PUBLIC = {
     "SCENE_GRAPHERS": "f3sr.backends.kinds",
     "SEGMENTERS": "f3sr.segmentation.segmenters",
     "Camera": "f3sr.core.camera",
-    "Config": "f3sr.pipeline",
+    "Config": "f3sr.pipeline_config",
     "F3srError": "f3sr.errors",
     "FilmConfig": "f3sr.film.studio",
     "InputError": "f3sr.errors",

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from f3sr.contact_retries import ContactRetries
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError, require_kind
-from f3sr.pipeline import Config, settling
+from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene_package.package import Package
 from f3sr.uncertainty.sampling import Rejected, Sample, SamplingConfig, draw
@@ -63,7 +64,8 @@ def _drawn(
     config: SamplingConfig,
     progress: Progress,
 ) -> Iterator[Drawn]:
-    scenes = draw(package.scene, covariances, settling(Config()), config, seed=seed)
+    retries = ContactRetries(config=with_shared_settings(Config()))
+    scenes = draw(package.scene, covariances, retries.settled, config, seed=seed)
     tries = config.attempts * count
     for k in range(count):
         sample, rejected = None, list[Rejected]()

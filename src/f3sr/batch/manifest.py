@@ -17,7 +17,7 @@ from f3sr.errors import InputError, reason, require_known
 from f3sr.files import limited_file, strict_json
 from f3sr.io.pose_conventions import require_asset_frame
 from f3sr.options import PARTS, SKIPPABLE
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 
 MAX_BYTES = 2_000_000_000
 """Largest manifest: a row takes some hundred bytes."""

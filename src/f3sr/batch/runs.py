@@ -15,7 +15,7 @@ from f3sr.batch.manifest import jobs_of
 from f3sr.batch.ray_executor import ray_tasks
 from f3sr.batch.supervisor import JobLimits
 from f3sr.dataset.layout import Dataset
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 
 WORK = "f3sr.batch.scene_job"
 """What makes a scene of an input folder."""

@@ -25,7 +25,7 @@ from f3sr.edits.landing import Effort, Landed, land, settled, touching
 from f3sr.edits.placing import Put, put, turned, without
 from f3sr.files.bounds import MAX_DENSITY, MAX_OBJECT, MIN_DENSITY, MIN_OBJECT
 from f3sr.physics.mujoco_model import solid_of
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Excluded, Scene, SceneObject, name_of
 from f3sr.stages.relate import describe

@@ -15,7 +15,7 @@ from f3sr.edits.unedited import Unedited, read_edited
 from f3sr.errors import InputError, OutputError, require_kind
 from f3sr.metrics.measures import Details, Measures, MeshMeasures, measure_with_details
 from f3sr.options import EDIT
-from f3sr.pipeline import Config
+from f3sr.pipeline_config import Config
 from f3sr.report import Decision, Measure, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent, timed

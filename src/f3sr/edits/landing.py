@@ -11,7 +11,7 @@ from f3sr.contact.compounds import collide, free_travel, smallest_horizontal_mov
 from f3sr.core.transforms import UP
 from f3sr.edits.placing import Put, bodies_in_place
 from f3sr.metrics.contact_groups import SettledScene, groups_of
-from f3sr.pipeline import Config, with_shared_settings
+from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import close
 from f3sr.stages.separate import separate

@@ -67,6 +67,11 @@ class SettledScene:
         return self.with_groups(other, better)
 
 
+def mean_gain(ids: Collection[int], was: Mapping[int, float], now: Mapping[int, float]) -> float:
+    """What the mean of some objects gains, of values by id."""
+    return float(np.mean([now[id] - was[id] for id in ids]))
+
+
 def _mean(values: Mapping[int, float], ids: Collection[int]) -> float:
     return float(np.mean([values[id] for id in ids]))
 

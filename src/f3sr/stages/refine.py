@@ -7,9 +7,9 @@ scene is kept or reverted by itself (docs: contact).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ from annotated_types import Interval
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import invert_pose, rotation_angle
-from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
@@ -65,24 +65,26 @@ class RefineConfig:
     """Objects with its ``apart`` between them do not affect each other."""
 
 
-Retried = Callable[[Scene, Collection[int]], SettledScene]
-"""Moves some objects of a scene at rest and settles what that affects."""
+class Retries(Protocol):
+    """Moves some objects of a scene at rest, ``before``, and settles what that affects (``contact_retries``).
 
+    Where there is a ``start``, ``moving`` objects begin where they are in it; the others stay as they are."""
 
-class Realigned(Protocol):
-    """Aligns some objects of a scene at rest and settles what that affects; what is ``balanced`` by an equilibrium."""
+    def realigned(self, before: Scene, ids: Collection[int], *, balanced: frozenset[int]) -> SettledScene:
+        """Objects aligned under contact; what is ``balanced`` goes to an equilibrium."""
+        ...
 
-    def __call__(self, before: Scene, ids: Collection[int], /, *, balanced: frozenset[int]) -> SettledScene: ...
+    def stood_up(self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        """Objects on their stable facets."""
+        ...
 
+    def balanced(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        """Objects at their nearest equilibrium."""
+        ...
 
-class Restarted(Protocol):
-    """Settles some objects, ``moving``, from where they are in ``start``; those of ``ids`` are aligned first.
-
-    ``before`` is the scene at rest that is to become better. The other objects stay as they are in it."""
-
-    def __call__(
-        self, before: Scene, ids: Collection[int], /, *, start: Scene, moving: frozenset[int]
-    ) -> SettledScene: ...
+    def replaced(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        """Objects separated and settled."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +106,7 @@ def refine(
     *,
     aligned: Scene,
     parted: Scene,
-    stood_up: Restarted,
-    balanced: Restarted,
-    replaced: Restarted,
-    realigned: Realigned,
+    retries: Retries,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
@@ -125,21 +124,22 @@ def refine(
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
         upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
-        tried = stood_up(state.scene, toppled, start=upright, moving=moving)
+        tried = retries.stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     unbalanced = [o.id for o in state.scene]
     if lost := sorted(moved_off_masks(state, seen, config.contact)):
         step = f"moved to the nearest equilibrium: object {_named(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
-        tried = balanced(state.scene, lost, start=start, moving=frozenset(lost))
+        tried = retries.balanced(state.scene, start=start, moving=frozenset(lost))
         state, decision, unbalanced = _better(state, tried, lost, step, config)
         decisions.append(decision)
-    came, again = state, _remembered(partial(realigned, balanced=frozenset(lost).difference(unbalanced)))
+    came = state
+    again = _Realigning(retries, balanced=frozenset(lost).difference(unbalanced))
     state, told = _rounds(came, [o.id for o in came.scene], again, config)
     decisions += told
     lost = sorted(moved_off_masks(state, seen, config.contact).intersection(unbalanced))
-    placed, told = _placed_again(came, lost, seen, replaced, config)
+    placed, told = _placed_again(came, lost, seen, retries, config)
     decisions += told
     if placed is not came:
         placed, told = _rounds(placed, lost, again, config)
@@ -151,14 +151,23 @@ def refine(
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
 
 
-def _remembered(realigned: Retried) -> Retried:
-    """The same of one scene and the same objects is not done again: what ended in vain in a round would do so alone."""
-    known = cache(realigned)
-    return lambda scene, ids: known(scene, tuple(ids))
+class _Realigning:
+    """Re-alignment under contact, and what was re-aligned already: of the same scene the same objects end alike."""
+
+    def __init__(self, retries: Retries, *, balanced: frozenset[int]) -> None:
+        self._realigned = partial(retries.realigned, balanced=balanced)
+        self._tried = set[tuple[Scene, tuple[int, ...]]]()
+
+    def __call__(self, state: SettledScene, ids: Sequence[int]) -> SettledScene:
+        self._tried.add((state.scene, tuple(ids)))
+        return self._realigned(state.scene, ids)
+
+    def was_tried(self, state: SettledScene, ids: Sequence[int]) -> bool:
+        return (state.scene, tuple(ids)) in self._tried
 
 
 def _rounds(
-    state: SettledScene, ids: Sequence[int], realigned: Retried, config: RefineConfig
+    state: SettledScene, ids: Sequence[int], again: _Realigning, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects re-aligned, then those that gained again, until none does."""
     open, decisions = list(ids), list[Decision]()
@@ -166,12 +175,12 @@ def _rounds(
         if not open:
             break
         was = state.scores
-        state, told = _round(state, open, realigned, config)
+        state, told = _round(state, open, again, config)
         decisions += told
         gained = {
             id
             for g in groups_of(state.scene, state.scene, config.contact.apart)
-            if not g & state.restless and _gain(g, was, state.scores) > AGAIN
+            if not g & state.restless and mean_gain(g, was, state.scores) > AGAIN
             for id in g
         }
         open = [id for id in open if id in gained and state.scores[id] > was[id] + AGAIN]
@@ -179,7 +188,7 @@ def _rounds(
 
 
 def _one_by_one(
-    state: SettledScene, seen: SettledScene, realigned: Retried, config: RefineConfig
+    state: SettledScene, seen: SettledScene, again: _Realigning, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """What contact keeps off its mask, re-aligned alone, what is farthest off first.
 
@@ -190,15 +199,17 @@ def _one_by_one(
     for id in sorted(off, key=lambda id: -off[id]):
         if in_vain == PATIENCE:
             break
-        step, was = f"re-alignment under contact of {id} alone", state
-        state, decision, _ = _better(state, realigned(state.scene, [id]), [id], step, config)
+        was = state
+        if not again.was_tried(state, [id]):
+            step = f"re-alignment under contact of {id} alone"
+            state, decision, _ = _better(state, again(state, [id]), [id], step, config)
+            decisions.append(decision)
         in_vain = in_vain + 1 if state is was else 0
-        decisions.append(decision)
     return state, decisions
 
 
 def _placed_again(
-    state: SettledScene, ids: Sequence[int], seen: SettledScene, replaced: Restarted, config: RefineConfig
+    state: SettledScene, ids: Sequence[int], seen: SettledScene, retries: Retries, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects where contact leads them from other starts near their masks: the best of all."""
     decisions: list[Decision] = []
@@ -207,7 +218,7 @@ def _placed_again(
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
         start = _as_seen(state.scene, seen.scene, ids, attempt=k)
-        was, tried = state, replaced(state.scene, ids, start=start, moving=frozenset(ids))
+        was, tried = state, retries.replaced(state.scene, start=start, moving=frozenset(ids))
         state, decision, _ = _better(state, tried, ids, step, config)
         decisions.append(decision)
         if state is was:
@@ -219,7 +230,7 @@ def moved_off_masks(state: SettledScene, seen: SettledScene, contact: ContactMar
     """Ids of the groups that contact moved off their masks. What fell away belongs to its group: the photo shows it
     there."""
     groups = groups_of(seen.scene, state.scene, contact.apart)
-    return frozenset(id for g in groups if len(g) > 1 and _gain(g, seen.ious, state.ious) < -LOST for id in g)
+    return frozenset(id for g in groups if len(g) > 1 and mean_gain(g, seen.ious, state.ious) < -LOST for id in g)
 
 
 def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int], *, attempt: int) -> Scene:
@@ -258,17 +269,17 @@ def _before_the_fall(
 
 
 def _round(
-    state: SettledScene, ids: Sequence[int], realigned: Retried, config: RefineConfig
+    state: SettledScene, ids: Sequence[int], again: _Realigning, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects re-aligned; then, of groups that were undone, those that would gain alone."""
     step = "re-alignment under contact" + (f" of {_named(ids)}" if len(ids) < len(state.scene.objects) else "")
-    tried = realigned(state.scene, ids)
+    tried = again(state, ids)
     kept, decision, undone = _better(state, tried, ids, step, config)
     decisions = [decision]
-    alone = _would_gain(state, tried, undone, AGAIN)
+    alone = _wouldmean_gain(state, tried, undone, AGAIN)
     if alone and len(alone) < len(ids):
         step = f"re-alignment under contact of {_named(alone)} alone"
-        kept, decision, _ = _better(kept, realigned(kept.scene, alone), alone, step, config)
+        kept, decision, _ = _better(kept, again(kept, alone), alone, step, config)
         decisions.append(decision)
     return kept, decisions
 
@@ -289,10 +300,10 @@ def _better(
         g
         for g in groups_of(state.scene, tried.scene, config.contact.apart)
         if g.intersection(ids)
-        and _gain(g, state.ious, tried.ious) >= -HOPELESS
+        and mean_gain(g, state.ious, tried.ious) >= -HOPELESS
         and g & tried.restless <= state.restless
     ]
-    gaining = [g for g in able if _gain(g, was, now) > GAIN]
+    gaining = [g for g in able if mean_gain(g, was, now) > GAIN]
     candidates = [(state.with_groups(tried, groups), groups) for groups in (gaining, able)] if gaining else []
     best, changed = max(candidates, key=lambda c: c[0].score, default=(state, []))
     if best.score <= state.score:
@@ -313,11 +324,7 @@ def _not_at_rest(ids: Sequence[int]) -> str:
     return f", and object {_named(ids)} does not come to rest" if ids else ""
 
 
-def _gain(group: Collection[int], was: Mapping[int, float], now: Mapping[int, float]) -> float:
-    return float(np.mean([now[id] - was[id] for id in group]))
-
-
-def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:
+def _wouldmean_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:
     """Objects that show more of their masks in a state that was undone, without what will not rest there and all that
     carries it or is carried by it."""
     before, after = state.scene, tried.scene
@@ -327,68 +334,6 @@ def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int],
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
     return [id for id in undone if tried.scores[id] > state.scores[id] + gain and id not in bound]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Retry:
-    """A scene at rest in which some groups are to move: the others are held where they rest.
-
-    Objects that do not come near each other do not act on each other, so what stays is no matter of physics."""
-
-    before: Scene
-    scene: Scene
-    """With new poses; what stays is fixed."""
-    moving: frozenset[int]
-    """Ids of all objects that may move."""
-
-    @classmethod
-    def of(cls, before: Scene, aligned: Scene, ids: Collection[int], contact: ContactMargin) -> Retry:
-        """Groups that gain by the alignment of the objects ``ids``, before physics takes its part; all else is held.
-
-        What gains may need room that its neighbours leave by their alignment, so a group moves as a whole. Of a group
-        that does not gain as a whole only what gains is aligned. A group that does not gain by that either is held:
-        contact adds little, and in none of 25 such attempts a group gained in the end."""
-
-        def scores(scene: Scene) -> Mapping[int, float]:
-            return SettledScene(scene=scene, restless=frozenset()).scores
-
-        def gaining(was: Mapping[int, float], after: Scene, now: Mapping[int, float]) -> frozenset[int]:
-            groups = groups_of(before, after, contact.apart)
-            return frozenset(id for g in groups if g.intersection(ids) and _gain(g, was, now) > GAIN for id in g)
-
-        was, now = scores(before), scores(aligned)
-        whole = gaining(was, aligned, now)
-        start = before.with_objects(*(aligned[id] for id in ids if id in whole or now[id] > was[id] + GAIN))
-        moving = gaining(was, start, scores(start))
-        return cls.of_moving(before, before.with_objects(*(start[id] for id in ids if id in moving)), moving)
-
-    @classmethod
-    def of_moving(cls, before: Scene, aligned: Scene, moving: frozenset[int]) -> Retry:
-        """Some objects move, whatever they gain, as those that do not rest yet; all else is held."""
-        held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
-        return cls(before=before, scene=aligned.with_objects(*held), moving=moving)
-
-    def ended(
-        self, rested: SettledScene, contact: ContactMargin, *, settled: Callable[[Scene], SettledScene]
-    ) -> SettledScene:
-        """The scene with the others free again. What came to touch them is ``settled`` with them, as they were held."""
-        scene = rested.scene.with_objects(
-            *(replace(o, mobility=self.before[o.id].mobility) for o in rested.scene if o.id not in self.moving)
-        )
-        groups = groups_of(scene, scene, contact.apart) if len(self.moving) < len(scene.objects) else []
-        mixed = {id for g in groups if g & self.moving and g - self.moving for id in g}
-        if not mixed:
-            return SettledScene(scene=scene, restless=rested.restless)
-        both = settled(replace(scene, objects=tuple(o for o in scene if o.id in mixed)))
-        return SettledScene(scene=scene.with_objects(*both.scene), restless=(rested.restless - mixed) | both.restless)
-
-    def without_losers(self, rested: SettledScene, contact: ContactMargin) -> Retry:
-        """The retry without groups that lost so much that ``close`` will not win it back: they are as before."""
-        was, now = SettledScene(scene=self.before, restless=frozenset()).scores, rested.scores
-        groups = groups_of(self.before, rested.scene, contact.apart)
-        lost = {id for g in groups if g & self.moving and _gain(g & self.moving, was, now) < -HOPELESS for id in g}
-        back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
-        return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
 
 
 def _turn(a: SceneObject, b: SceneObject) -> float:

@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from f3sr.core.transforms import Array, invert_pose, rotation_angle
+from f3sr.metrics.contact_groups import SettledScene
 from f3sr.physics import settling as physics_settling
 from f3sr.physics.mujoco_model import PhysicsConfig
 from f3sr.physics.settling import SettleConfig, SettleResult
@@ -99,6 +100,12 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         decisions=tuple(decisions),
     )
     return scene.with_objects(*moved), outcome
+
+
+def at_rest(scene: Scene, config: SettleStageConfig) -> SettledScene:
+    """The scene after ``settle``, and which of its objects do not rest."""
+    scene, settled = settle(scene, config)
+    return SettledScene(scene=scene, restless=settled.restless)
 
 
 def _restless(result: SettleResult, limit: float) -> frozenset[int]:

@@ -9,7 +9,7 @@ or misses the masks is drawn again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -36,9 +36,7 @@ class Settle(Protocol):
     """Parts what overlaps of some objects, ``moving``, brings them to rest from where they are in ``start`` and closes
     the gaps. The others stay as they rest in ``before``."""
 
-    def __call__(
-        self, before: Scene, ids: Collection[int], /, *, start: Scene, moving: frozenset[int]
-    ) -> SettledScene: ...
+    def __call__(self, before: Scene, /, *, start: Scene, moving: frozenset[int]) -> SettledScene: ...
 
 
 @constants
@@ -124,7 +122,7 @@ def _at_rest(
     for k in range(config.halvings + 1):
         drawn = poses.scene()
         start = state.scene.with_objects(*(drawn[id] for id in sorted(moving)))
-        state = settle(state.scene, sorted(moving), start=start, moving=moving)
+        state = settle(state.scene, start=start, moving=moving)
         failed = _failed(best, state, config)
         moving = frozenset(id for g in failed for id in g)
         if not moving:
