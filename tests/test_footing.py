@@ -15,9 +15,18 @@ from f3sr.contact.compounds import placed, smallest_shift
 from f3sr.contact.footing import flush, footing, footing_again, support_plane
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stability import stability
+from f3sr.contact.stable_facets import stable_normals
 from f3sr.contact.static_bodies import bodies_of, center_of
 from f3sr.contact.tops import highest_points
-from f3sr.contact.undersides import GRAIN, GROUND_PLANE, FootingConfig, Outline, SupportPlane
+from f3sr.contact.undersides import (
+    GRAIN,
+    GROUND_PLANE,
+    FlatUnderside,
+    FootingConfig,
+    Outline,
+    StandingBody,
+    SupportPlane,
+)
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance
@@ -438,3 +447,23 @@ def test_what_is_held_keeps_its_footing():
     scene = scene_of(replace(held[0], mobility="fixed"), other)
     again, _ = separate(scene, SeparateConfig(max_ray_scale=0.0))
     assert again[0].footing == held[0].footing and again[0].parts == held[0].parts
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1])
+def test_the_outline_of_an_underside_is_that_of_all_its_cells(angle: float):
+    o = slanted(angle).moved(pose(rotation_about([0, 0, 1], 0.4)), stage="test", reason="")
+    body = StandingBody.of(o)
+    assert body
+    flat = FlatUnderside.of(o, body, GROUND_PLANE, CONFIG)
+    assert flat and flat.outline
+    whole = Outline.of(flat.corners)
+    assert whole and flat.outline.area == pytest.approx(whole.area, rel=1e-12)
+    assert flat.outline.depth(body.center) == pytest.approx(whole.depth(body.center), rel=1e-9)
+
+
+def test_stable_facets_that_face_a_direction_are_those_of_all_that_do():
+    hull = ConvexPart.hull_of(np.random.default_rng(3).normal(size=(200, 3)))
+    center, facing = hull.vertices.mean(0), np.array([0.6, 0.0, -0.8])
+    every, some = stable_normals(hull, center), stable_normals(hull, center, facing=facing, within=0.9)
+    np.testing.assert_array_equal(some, every[every @ facing >= np.cos(0.9)])
+    assert 0 < len(some) < len(every)

@@ -7,10 +7,8 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 
-PRICES = 7
-"""Prices from 1 to the wanted one."""
 NEWTON_STEPS = 60
-"""Most steps; ten suffice."""
+"""Most steps; fifteen suffice."""
 ROUNDING = 1e-9
 """Share of x that a step must change to go on."""
 
@@ -42,30 +40,26 @@ def shortest(rows: Array) -> Array | None:
 def nearly(rows: Array, price: float) -> Array:
     """The x (n,) with the least ``|x|^2 + price |s|^2``, where ``rows[:, :-1] @ x + s >= rows[:, -1]``.
 
-    The gradient is piecewise linear: Newton's method ends after some steps. The price grows, each from where the last
-    one ended."""
-    x = np.zeros(rows.shape[1] - 1)
-    for share in np.linspace(0, 1, PRICES):
-        x = _descended(rows[:, :-1], rows[:, -1], price**share, x)
-    return x
-
-
-def _descended(G: Array, h: Array, price: float, x: Array) -> Array:
-    """Where ``_cost`` is least, from ``x``."""
+    The gradient is piecewise linear: Newton's method ends after some steps."""
+    G = rows[:, :-1]
+    x, short = np.zeros(G.shape[1]), rows[:, -1]
+    cost = _cost(x, short, price)
     for _ in range(NEWTON_STEPS):
-        active = h - G @ x > 0
-        A, short = G[active], (h - G @ x)[active]
-        gradient = x - price * A.T @ short
+        active = short > 0
+        A = G[active]
+        gradient = x - price * A.T @ short[active]
         step = -np.linalg.solve(np.eye(len(x)) + price * A.T @ A, gradient)
-        size, slope = 1.0, float(gradient @ step)
-        while _cost(x + size * step, G, h, price) > _cost(x, G, h, price) + 1e-4 * size * slope and size > ROUNDING:
+        size, slope, along = 1.0, float(gradient @ step), G @ step
+        while (new := _cost(x + size * step, short - size * along, price)) > cost + 1e-4 * size * slope:
             size /= 2
-        x = x + size * step
+            if size <= ROUNDING:
+                break
+        x, short, cost = x + size * step, short - size * along, new
         if size * np.abs(step).max() <= ROUNDING * (1 + np.abs(x).max()):
             break
     return x
 
 
-def _cost(x: Array, G: Array, h: Array, price: float) -> float:
-    short = np.maximum(h - G @ x, 0)
-    return float(x @ x + price * short @ short) / 2
+def _cost(x: Array, short: Array, price: float) -> float:
+    missing = np.maximum(short, 0)
+    return float(x @ x + price * missing @ missing) / 2

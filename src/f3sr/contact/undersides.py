@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self, cast
 
 import numpy as np
@@ -90,15 +91,17 @@ class StandingBody:
         own = transform(o.T_world_object, body_of(o).center[None])[0]
         return cls(hull=hull, center=own if center is None else center, size=o.size)
 
+    @cached_property
+    def outline(self) -> Outline | None:
+        """That of the whole body."""
+        return Outline.of(self.hull.vertices)
+
     def lowest(self, plane: SupportPlane) -> float:
         """Height [m] of the lowest point over a plane."""
         return float(plane.heights(self.hull.vertices).min())
 
-    def stands_on(self, points: Array, plane: SupportPlane, lowest: float, margin: float) -> bool:
-        """Whether it stands, even tilted by ``margin`` [rad], on the outline of ``points`` (n, 3) at a height.
-
-        All of the outline is taken to be ``lowest`` [m] above the plane."""
-        outline = Outline.of(points)
+    def stands_on(self, outline: Outline | None, plane: SupportPlane, lowest: float, margin: float) -> bool:
+        """Whether it stands, even tilted by ``margin`` [rad], on an outline that is ``lowest`` [m] above the plane."""
         if outline is None:
             return False
         # A body tips over an edge at the tilt whose tangent is (distance to the edge) / (height of the centre).
@@ -123,7 +126,7 @@ class StandingBody:
         only. So the centre may be as far from it as the section reaches."""
 
         def stands(height: float) -> bool:
-            return self.stands_on(self.section(plane, height), plane, lowest, config.round_margin)
+            return self.stands_on(Outline.of(self.section(plane, height)), plane, lowest, config.round_margin)
 
         lowest = self.lowest(plane)
         failed, stood = 0.0, config.flat * self.size
@@ -178,11 +181,18 @@ class FlatUnderside:
             patch=np.repeat(patches[cells], len(half)),
         )
 
+    @cached_property
+    def outline(self) -> Outline | None:
+        """That of all cells: of the first and the last one in each row."""
+        rows = np.nonzero(self.cells)[0]
+        ends = np.flatnonzero(np.diff(rows, prepend=-1) | np.diff(rows, append=-1))
+        return Outline.of(self.corners.reshape(len(rows), -1, 3)[ends].reshape(-1, 3))
+
     def carries(self, plane: SupportPlane, lowest: float, config: FootingConfig) -> bool:
         """Whether the body stands on it, were all of it ``lowest`` above the plane."""
-        mine, whole = Outline.of(self.corners), Outline.of(self.body.hull.vertices)
+        mine, whole = self.outline, self.body.outline
         wide = mine is not None and whole is not None and mine.area >= config.min_area * whole.area
-        return wide and self.body.stands_on(self.corners, plane, lowest, config.min_margin)
+        return wide and self.body.stands_on(mine, plane, lowest, config.min_margin)
 
     def patches(self, most: int) -> list[Array]:
         """The outermost points (k, 3) of every patch, the largest ``most`` of them."""
@@ -197,8 +207,8 @@ def _facet_below(body: StandingBody, plane: SupportPlane, config: FootingConfig)
     Where that is far, as for a tall body with a bulging underside, it is the mean of all facets that face down. None
     where none does."""
     near, hull = np.cos(config.max_turn), body.hull
-    stable = -stable_normals(hull, body.center)
-    if len(stable) and (stable @ plane.normal).max() >= near:
+    stable = -stable_normals(hull, body.center, facing=-plane.normal, within=config.max_turn)
+    if len(stable):
         normal = stable[int(np.argmax(stable @ plane.normal))]
     else:
         # Inward normals: those of facets that face down point up.

@@ -30,7 +30,6 @@ class Placement:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.depth_sigma = depth_prior.sigmas(scene)
         self._evidence = dict[int, float]()
         self.bodies = {o.id: placed((*o.parts, *o.footing), o.T_world_asset) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {o.id: o.footing for o in scene}
@@ -40,6 +39,11 @@ class Placement:
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
         self.missing: dict[int, float] = dict.fromkeys(self.bodies, 0.0)
         """Height [m] that the underside of each mesh lacks: its body hangs that far above its support."""
+
+    @cached_property
+    def depth_sigma(self) -> Mapping[int, float]:
+        """Standard deviation of the logarithm of each object's distance; measured depths take time."""
+        return depth_prior.sigmas(self.scene)
 
     def saved(self) -> Saved:
         """The whole state, for ``restore``."""
