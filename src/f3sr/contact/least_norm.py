@@ -7,6 +7,8 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 
+PRICES = 4
+"""Prices from 1 to the wanted one."""
 NEWTON_STEPS = 60
 """Most steps; fifteen suffice."""
 ROUNDING = 1e-9
@@ -40,9 +42,17 @@ def shortest(rows: Array) -> Array | None:
 def nearly(rows: Array, price: float) -> Array:
     """The x (n,) with the least ``|x|^2 + price |s|^2``, where ``rows[:, :-1] @ x + s >= rows[:, -1]``.
 
-    The gradient is piecewise linear: Newton's method ends after some steps."""
-    G = rows[:, :-1]
-    x, short = np.zeros(G.shape[1]), rows[:, -1]
+    The gradient is piecewise linear: Newton's method ends after some steps. The price grows, each from where the last
+    one ended: at once, a price of 1e12 leads nowhere in one of five cases."""
+    x = np.zeros(rows.shape[1] - 1)
+    for share in np.linspace(0, 1, PRICES):
+        x = _descended(rows[:, :-1], rows[:, -1], price**share, x)
+    return x
+
+
+def _descended(G: Array, h: Array, price: float, x: Array) -> Array:
+    """Where ``_cost`` is least, from ``x``."""
+    short = h - G @ x
     cost = _cost(x, short, price)
     for _ in range(NEWTON_STEPS):
         active = short > 0
