@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from f3sr import pipeline
 from f3sr.core.mesh import Mesh
@@ -81,6 +82,20 @@ def test_proxies_are_begun_early_where_they_are_neither_skipped_nor_stored(
     for _ in range(2):
         reconstruct(given, skip=skip, store=Store(tmp_path))
     assert len(begun) == ("decompose" not in skip)
+
+
+def test_linear_algebra_takes_one_thread_whatever_was_set(given: inputs.Inputs):
+    """So sums are the same on every machine; afterwards the setting is back."""
+    inside: list[int] = []
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    skip = [stage for stage in SKIPPABLE if stage != "level"]
+    with threadpool_limits(2, user_api="blas"):
+        reconstruct(given, skip=skip, seen=lambda *_: inside.extend(threads()))
+        assert set(threads()) == {2}
+    assert inside and set(inside) == {1}
 
 
 def test_unknown_stages_are_refused(given: inputs.Inputs):

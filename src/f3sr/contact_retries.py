@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from f3sr.core.transforms import Array
+from f3sr.language.grammar.materials import material_of
 from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline_config import Config
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.balance import balance
 from f3sr.stages.close import close, lowered
@@ -124,7 +125,8 @@ class ContactRetries:
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
         footed = partial(on_own_footings, config=self.config.separate)
-        placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start)
+        guessed = [o.id for o in scene if o.mobility != "fixed" and _is_guessed(o)]
+        placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed)
         standing = on_footings_in_place(placed, self.config.separate)
         return self._at_rest(placed).or_better(self._at_rest(standing), self._contact.apart)
 
@@ -193,3 +195,9 @@ class Retry:
         lost = {id for g in groups if g & self.moving and mean_gain(g & self.moving, was, now) < -HOPELESS for id in g}
         back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
         return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
+
+
+def _is_guessed(o: SceneObject) -> bool:
+    """Whether nothing but its label, or nothing at all, tells the friction of an object."""
+    known = material_of(o.label)
+    return o.material_source != "given" and o.friction == (known.friction if known else SceneObject.friction)

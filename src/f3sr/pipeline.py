@@ -21,6 +21,7 @@ from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.proxies import decomposing
 from f3sr.report import Outcome, Report
 from f3sr.runtime.daemon_thread import begun
+from f3sr.runtime.machine import one_thread
 from f3sr.runtime.progress import Progress, silent
 from f3sr.runtime.result_forms import ArraysForm, PlainForm
 from f3sr.runtime.result_store import Store, digest
@@ -83,6 +84,7 @@ class Reconstruction:
         return tuple(outcome.report for outcome in self.outcomes)
 
 
+@one_thread()
 def reconstruct(
     inputs: Inputs,
     config: Config | None = None,

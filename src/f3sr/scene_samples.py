@@ -11,6 +11,7 @@ from f3sr.contact_retries import ContactRetries
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError, require_kind
 from f3sr.pipeline_config import Config, with_shared_settings
+from f3sr.runtime.machine import one_thread
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene_package.package import Package
 from f3sr.uncertainty.sampling import Rejected, Sample, SamplingConfig, draw
@@ -72,7 +73,8 @@ def _drawn(
         with timed(f"sample {k + 1} of {count}", progress):
             while tries and sample is None:
                 tries -= 1
-                found = next(scenes)
+                with one_thread():
+                    found = next(scenes)
                 if isinstance(found, Rejected):
                     rejected.append(found)
                 else:

@@ -17,10 +17,11 @@ its own facet. Forces act on the footing as it would be at the present poses, an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.contact.compounds import Compound
 from f3sr.contact.contact_patches import Contacts
@@ -62,6 +63,8 @@ ENOUGH = 1e4
 """Least rho with which it may end."""
 FITS = 2e-4
 """Travel [m] up to which a footing is not made anew."""
+FRICTIONS = (0.6, 0.8, 1.0)
+"""Coefficients of friction that are tried, the least first, where a guess is too low: rubber on wood has 1."""
 FINAL = 1e5
 """Least rho with which footings stay as they are, and keep out of other bodies like all parts."""
 
@@ -101,6 +104,8 @@ class Equilibrium:
     """Sum of the squared moves, in standard deviations."""
     work: float
     """Virtual work that is left [mean weights times metres]: 0 where all weights are balanced."""
+    friction: Mapping[int, float]
+    """Coefficients that balance all weights where those of the bodies do not, by id."""
 
 
 def nearest_equilibrium(
@@ -112,6 +117,7 @@ def nearest_equilibrium(
     apart: bool = False,
     start: Mapping[int, BodyMove] | None = None,
     footings: Footings | None = None,
+    guessed: Collection[int] = (),
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
@@ -119,6 +125,7 @@ def nearest_equilibrium(
     deep inside thin parts is then on the side where the others leave it room. Otherwise overlap ends little by little.
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
     ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone.
+    ``guessed``: ids of bodies whose friction is a guess, and may be larger.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
@@ -144,7 +151,13 @@ def nearest_equilibrium(
         work, shift = search.step(rho, tilts=TILTS)
         if work < BALANCED and shift < STILL and rho >= (FINAL if footings else ENOUGH):
             break
-    return Equilibrium(moves=search.moves, footed_at=search.footed_at, cost=search.cost, work=work)
+    return Equilibrium(
+        moves=search.moves,
+        footed_at=search.footed_at,
+        cost=search.cost,
+        work=work,
+        friction=search.friction_needed(guessed),
+    )
 
 
 class _EquilibriumSearch:
@@ -221,9 +234,7 @@ class _EquilibriumSearch:
     def step(self, rho: float, *, tilts: Array, price: float | None = None) -> tuple[float, float]:
         """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
         shift [m]. ``price``: of squared overlap, where it may be left."""
-        parts = {id: b.parts for id, b in self.bodies.items()}
-        own = near_contacts(parts, self.ids, sorted(self.hanging))
-        near, closing = footing_contacts(own, self.footings, parts)
+        own, near, closing = self._near()
         forces, work = self._forces(near, tilts)
         rates = self._rates(near.contacts)
         pull = rho * forces @ rates[closing]
@@ -236,6 +247,22 @@ class _EquilibriumSearch:
         dx = y - pull - self.x
         share = min(1.0, *(self._most(id, self.units[id] @ dx[place]) for id, place in self.places.items()))
         return work, self._move(share * dx)
+
+    def friction_needed(self, guessed: Collection[int]) -> Mapping[int, float]:
+        """Coefficients, by id, with which all weights are balanced where the bodies are: the least of ``FRICTIONS``,
+        for those that are ``guessed`` lower. None where theirs do, or where none of these does."""
+        low = {id: self.bodies[id].friction for id in guessed if self.bodies[id].friction < FRICTIONS[-1]}
+        _, near, _ = self._near()
+        if not low or self._forces(near, TILTS)[1] < BALANCED:
+            return {}
+        tried = ({id: friction for id, was in low.items() if was < friction} for friction in FRICTIONS)
+        return next((more for more in tried if more and self._forces(near, TILTS, more)[1] < BALANCED), {})
+
+    def _near(self) -> tuple[NearContacts, NearContacts, NDArray[np.int64]]:
+        """Contacts of bodies, the same with those of footings, and by which of the first each gap closes."""
+        parts = {id: b.parts for id, b in self.bodies.items()}
+        own = near_contacts(parts, self.ids, sorted(self.hanging))
+        return own, *footing_contacts(own, self.footings, parts)
 
     def _move(self, dx: Array) -> float:
         """Move bodies by a step in x. Returns the largest shift [m]."""
@@ -262,12 +289,17 @@ class _EquilibriumSearch:
         tiny = np.finfo(float).tiny
         return min(STEP * self.bodies[id].size / max(shift, tiny), TURN_STEP / max(turn, tiny))
 
-    def _forces(self, near: NearContacts, tilts: Array) -> tuple[Array, float]:
-        """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres."""
+    def _forces(
+        self, near: NearContacts, tilts: Array, friction: Mapping[int, float] | None = None
+    ) -> tuple[Array, float]:
+        """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres.
+
+        ``friction``, by id, instead of that of the bodies."""
         from scipy.sparse import eye_array, hstack
 
+        bodies = [replace(b, friction=(friction or {}).get(b.id, b.friction)) for b in self.bodies.values()]
         group = [self.bodies[id] for id in self.ids]
-        balance = Balance(group, [*self.bodies.values()], near.contacts, self.ground_friction, edges=CONE_EDGES)
+        balance = Balance(group, bodies, near.contacts, self.ground_friction, edges=CONE_EDGES)
         rows, mean = 6 * len(group), float(balance.masses.mean())
         way = np.maximum(near.gaps[balance.rows] - self.clearance, 0.0) + NEEDLESS
         cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(UNBALANCED * np.repeat(balance.masses, 6), 2)]

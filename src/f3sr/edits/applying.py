@@ -27,6 +27,7 @@ from f3sr.files.bounds import MAX_DENSITY, MAX_OBJECT, MIN_DENSITY, MIN_OBJECT
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.pipeline_config import Config
 from f3sr.report import Decision
+from f3sr.runtime.machine import one_thread
 from f3sr.scene import GROUND, Excluded, Scene, SceneObject, name_of
 from f3sr.stages.relate import describe
 
@@ -52,6 +53,7 @@ class Applied:
     """False where the edit was not applied: the scene is the one of before."""
 
 
+@one_thread()
 def apply_edit(scene: Scene, edit: Edit, number: int, config: Config, effort: Effort) -> Applied:
     """The scene after an edit, the ``number``-th of its list. ``config`` is that of ``landing.editing``.
 

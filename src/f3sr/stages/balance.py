@@ -35,13 +35,15 @@ def balance(
     footed: Footed,
     apart: bool = False,
     start: Scene | None = None,
+    guessed: Collection[int] = (),
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
     Supports are not asked: what carries an object follows from the forces. ``costs`` are the (7, 7) precisions of
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
-    ``start`` where objects rest in another scene.
+    ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
+    group would slide from there.
     """
     bodies = bodies_of(scene)
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
@@ -56,11 +58,13 @@ def balance(
             apart=apart,
             start={id: _move(scene[id], start[id]) for id in group} if start else None,
             footings=partial(_footings, scene, footed),
+            guessed=[id for id in group if id in guessed],
         )
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
         moved = _moved(scene, found.moves, told)
-        scene = moved.with_objects(*(replace(moved[k], parts=there[k].parts, footing=there[k].footing) for k in group))
+        footed_objects = (replace(moved[k], parts=there[k].parts, footing=there[k].footing) for k in group)
+        scene = moved.with_objects(*(_rougher(o, found.friction.get(o.id)) for o in footed_objects))
     return scene
 
 
@@ -75,6 +79,13 @@ def _footings(scene: Scene, footed: Footed, moves: Mapping[int, BodyMove], overl
 def _moved(scene: Scene, moves: Mapping[int, BodyMove], reason: str) -> Scene:
     moved = (scene[id].moved(m.T, scale=m.scale, stage="refine", reason=reason) for id, m in moves.items())
     return scene.with_objects(*moved)
+
+
+def _rougher(o: SceneObject, friction: float | None) -> SceneObject:
+    if friction is None:
+        return o
+    reason = f"friction {friction:g}, not {o.friction:g}, as it would slide from where the photo shows it"
+    return replace(o, friction=friction, material_reason="; ".join(filter(None, (o.material_reason, reason))))
 
 
 def _move(before: SceneObject, after: SceneObject) -> BodyMove:

@@ -148,7 +148,13 @@ def refine(
         decisions += [*told, decision]
     state, told = _one_by_one(state, seen, again, config)
     decisions += told
+    decisions += [_told_of_friction(scene[o.id], o) for o in state.scene if o.friction != scene[o.id].friction]
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
+
+
+def _told_of_friction(before: SceneObject, after: SceneObject) -> Decision:
+    reason = "it would slide from where the photo shows it; the other value is a guess by its label, or the default"
+    return Decision(choice=f"friction {before.friction:g} -> {after.friction:g}", reason=reason, about=after.id)
 
 
 class _Realigning:
