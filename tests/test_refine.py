@@ -437,3 +437,15 @@ def test_what_is_in_balance_is_balanced_again_after_re_alignment(touching: Scene
         realigned=realigned,
     )  # fmt: skip
     assert told and set(told) == {frozenset({0, 1}) if helps else frozenset()}
+
+
+def test_a_friction_that_was_raised_is_told(touching: Scene):
+    start = shifted(touching, {0: 0.06, 1: 0.06})
+
+    def balanced(_: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        rough = start.with_objects(replace(start[1], friction=0.8))
+        return SettledScene(scene=rough, restless=frozenset())
+
+    after, outcome = retried(start, NO_ROUND, aligned=touching, parted=start, balanced=balanced)
+    assert after[1].friction == 0.8
+    assert [(d.about, d.choice) for d in outcome.decisions if d.about is not None] == [(1, "friction 0.6 -> 0.8")]
