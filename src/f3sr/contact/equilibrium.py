@@ -18,6 +18,7 @@ its own facet. Forces act on the footing as it would be at the present poses, an
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +62,11 @@ STILL = 5e-5
 """Largest shift [m] of a step after which the search may end."""
 ENOUGH = 1e4
 """Least rho with which it may end."""
+WORK_COST, OVERLAP_COST = 1e6, 1e5
+"""What virtual work that is left [per mean weight and metre] and overlap [1/m] count beside half the squared move.
+
+Where the last steps come to no end, each holds by other contacts and moves farther, so the best of them is taken. With
+a thirtieth of the first, 18 of 19 groups end alike, but what has yet to lie down stays tilted."""
 FITS = 2e-4
 """Travel [m] up to which a footing is not made anew."""
 FRICTIONS = (0.6, 0.8, 1.0)
@@ -124,7 +130,8 @@ def nearest_equilibrium(
     The minimum is a local one. ``apart`` begins where one joint shift has ended all overlap (``crowds.spread``). A body
     deep inside thin parts is then on the side where the others leave it room. Otherwise overlap ends little by little.
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
-    ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone.
+    ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone. If the
+    last steps come to no end, the best of them counts.
     ``guessed``: ids of bodies whose friction is a guess, and may be larger.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
@@ -132,7 +139,6 @@ def nearest_equilibrium(
     body's box.
     """
     search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction, footings)
-    work = np.inf
     if start:
         search.begin(start)
     elif apart:
@@ -141,6 +147,7 @@ def nearest_equilibrium(
         for rho, price in FIRST:
             search.fit(overlapping=True)
             search.step(rho, price=price, tilts=np.zeros((1, 2)))
+    work, best = np.inf, (np.inf, np.inf, search)
     for rho in RHOS:
         if start and rho < ENOUGH:
             continue
@@ -148,9 +155,15 @@ def nearest_equilibrium(
             search.fit(overlapping=False)
         else:
             search.stand()
+        here = search.copied()
         work, shift = search.step(rho, tilts=TILTS)
         if work < BALANCED and shift < STILL and rho >= (FINAL if footings else ENOUGH):
             break
+        left = here.cost / 2 + WORK_COST * work + OVERLAP_COST * search.overlap
+        if rho >= FINAL and left < best[0]:
+            best = left, work, here
+    else:
+        _, work, search = best
     return Equilibrium(
         moves=search.moves,
         footed_at=search.footed_at,
@@ -190,6 +203,15 @@ class _EquilibriumSearch:
         """How far bodies may have moved since then [m]."""
         self.overlapping = True
         """Whether they could overlap then."""
+        self.overlap = np.inf
+        """Largest lack of clearance before the last step [m]."""
+
+    def copied(self) -> _EquilibriumSearch:
+        """The same state, which further steps of this search do not change."""
+        twin = copy(self)
+        twin.bodies, twin.moves, twin.middles = dict(self.bodies), dict(self.moves), dict(self.middles)
+        twin.footings, twin.hanging = dict(self.footings), set(self.hanging)
+        return twin
 
     @property
     def cost(self) -> float:
@@ -235,6 +257,7 @@ class _EquilibriumSearch:
         """Forces for the present gaps, then moves for these forces. Returns the virtual work before, and the largest
         shift [m]. ``price``: of squared overlap, where it may be left."""
         own, near, closing = self._near()
+        self.overlap = float((self.clearance - own.gaps).max(initial=0.0))
         forces, work = self._forces(near, tilts)
         rates = self._rates(near.contacts)
         pull = rho * forces @ rates[closing]
