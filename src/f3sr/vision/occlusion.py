@@ -29,10 +29,33 @@ GRAZING = np.radians(25)
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
     """Per object, those that may hide it: by the rendered depths where two objects overlap in the picture, else by
-    their median depths. Two that cannot be ordered may hide each other."""
+    their median depths. Two that cannot be ordered may hide each other.
+
+    What hides an object does so in its own mask. So depths are compared there, if that is enough: the near wall of a
+    bowl hides what is in it, which hides the far wall. Each object is where the photo's geometry sees its mask."""
     small = scene.camera.limited(RESOLUTION)
-    depths = {o.id: rasterizer.render([o], small).depth for o in scene}
-    return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
+    shown = {o.id: resample(o.mask, small.width, small.height) for o in scene}
+    seen = _seen_depths(scene, small)
+    depths = {o.id: _at(rasterizer.render([o], small).depth, shown[o.id], seen) for o in scene}
+    return {
+        o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id], shown[p.id])] for o in scene
+    }
+
+
+def _seen_depths(scene: Scene, camera: Camera) -> Array:
+    """The geometry's depths (h, w) at a camera's resolution, NaN where there are none."""
+    if scene.geometry is None:
+        return np.full((camera.height, camera.width), np.nan)
+    depths = np.where(scene.geometry.valid, scene.geometry.points[..., 2], np.nan)
+    return resample(depths, camera.width, camera.height)
+
+
+def _at(depth: Array, shown: Mask, seen: Array) -> Array:
+    """A depth image (h, w) at the distance where the geometry sees what is ``shown``; as it is where too little is."""
+    both = shown & np.isfinite(depth) & np.isfinite(seen)
+    if np.count_nonzero(both) <= ENOUGH:
+        return depth
+    return depth * float(np.median(seen[both] / depth[both]))
 
 
 def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
@@ -129,9 +152,11 @@ def _around(mask: Mask, *, widely: bool = False) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _nearer(a: Array, b: Array) -> bool:
-    """Whether depth image a (h, w) lies in front of b, inf where empty; True when unsure."""
+def _nearer(a: Array, b: Array, shown: Mask) -> bool:
+    """Whether depth image a (h, w) lies in front of b where it is ``shown``, inf where empty; True when unsure."""
     both = np.isfinite(a) & np.isfinite(b)
+    if np.count_nonzero(both & shown) > ENOUGH:
+        both &= shown
     if np.count_nonzero(both) > ENOUGH:
         return bool(np.median(a[both] - b[both]) < 0)
     if not np.isfinite(a).any() or not np.isfinite(b).any():
