@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.core.mesh import Mesh, union
-from f3sr.core.transforms import pose
 from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
 from folders import camera
-from scenes import box, box_mesh, scene_of
+from scenes import box, scene_of
 
 
 def test_regions_of_nearer_objects_are_left_out():
@@ -23,19 +21,12 @@ def test_regions_of_nearer_objects_are_left_out():
     assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
 
 
-def test_a_container_hides_what_is_in_it_by_its_near_wall_and_is_hidden_by_it_before_its_far_one():
-    """Also where the pose of what is in it came too near by more than the wall is away."""
-    walls = [box_mesh((0.3, 0.02, 0.12)).hull.moved(pose(t=[0, y, 0.06])) for y in (-0.14, 0.14)]
-    vertices, faces = union(walls)
-    crate = box(0, at=(0, 0, 0))
-    crate = replace(crate, mesh=Mesh(vertices=vertices, faces=np.asarray(faces, np.int32)), parts=tuple(walls))
-    inside = box(1, size=(0.1, 0.1, 0.14), at=(0, 0, 0.07))
-    scene = photographed(crate, inside)
-    for scale in (1.0, 0.8):
-        camera = scene.camera
-        moved = scene[1].moved(camera.homothety(scale), scale=scale, stage="test", reason="")
-        nearer = nearer_objects(scene.with_objects(moved))
-        assert [p.id for p in nearer[1]] == [0] and [p.id for p in nearer[0]] == [1]
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_order_is_that_of_the_photo_s_geometry_whatever_distance_a_pose_came_with(share: float):
+    scene = photographed(box(0, at=(0, -0.1, 0.05)), box(1, size=(0.1, 0.1, 0.2), at=(0.03, 0.1, 0.1)))
+    came = scene[1].moved(scene.camera.homothety(share), scale=share, stage="test", reason="")
+    nearer = nearer_objects(scene.with_objects(came))
+    assert [p.id for p in nearer[1]] == [0] and not nearer[0]
 
 
 @pytest.mark.parametrize("rows", [10, 4, 1])

@@ -31,15 +31,12 @@ def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
     """Per object, those that may hide it: by the rendered depths where two objects overlap in the picture, else by
     their median depths. Two that cannot be ordered may hide each other.
 
-    What hides an object does so in its own mask. So depths are compared there, if that is enough: the near wall of a
-    bowl hides what is in it, which hides the far wall. Each object is where the photo's geometry sees its mask."""
+    Each object counts at the distance at which the photo's geometry sees its mask: generated poses are off by
+    centimetres along the viewing rays, nested bowls are millimetres apart."""
     small = scene.camera.limited(RESOLUTION)
-    shown = {o.id: resample(o.mask, small.width, small.height) for o in scene}
     seen = _seen_depths(scene, small)
-    depths = {o.id: _at(rasterizer.render([o], small).depth, shown[o.id], seen) for o in scene}
-    return {
-        o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id], shown[p.id])] for o in scene
-    }
+    depths = {o.id: _at_its_distance(o, rasterizer.render([o], small).depth, seen) for o in scene}
+    return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
 
 
 def _seen_depths(scene: Scene, camera: Camera) -> Array:
@@ -50,9 +47,9 @@ def _seen_depths(scene: Scene, camera: Camera) -> Array:
     return resample(depths, camera.width, camera.height)
 
 
-def _at(depth: Array, shown: Mask, seen: Array) -> Array:
-    """A depth image (h, w) at the distance where the geometry sees what is ``shown``; as it is where too little is."""
-    both = shown & np.isfinite(depth) & np.isfinite(seen)
+def _at_its_distance(o: SceneObject, depth: Array, seen: Array) -> Array:
+    """An object's depth image (h, w) where the geometry's depths (h, w) see its mask; as it is where too little is."""
+    both = resample(o.mask, depth.shape[1], depth.shape[0]) & np.isfinite(depth) & np.isfinite(seen)
     if np.count_nonzero(both) <= ENOUGH:
         return depth
     return depth * float(np.median(seen[both] / depth[both]))
@@ -152,11 +149,9 @@ def _around(mask: Mask, *, widely: bool = False) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _nearer(a: Array, b: Array, shown: Mask) -> bool:
-    """Whether depth image a (h, w) lies in front of b where it is ``shown``, inf where empty; True when unsure."""
+def _nearer(a: Array, b: Array) -> bool:
+    """Whether depth image a (h, w) lies in front of b, inf where empty; True when unsure."""
     both = np.isfinite(a) & np.isfinite(b)
-    if np.count_nonzero(both & shown) > ENOUGH:
-        both &= shown
     if np.count_nonzero(both) > ENOUGH:
         return bool(np.median(a[both] - b[both]) < 0)
     if not np.isfinite(a).any() or not np.isfinite(b).any():
