@@ -21,6 +21,9 @@ RESOLUTION = 384
 ENOUGH = 20
 """Least number of common pixels at which rendered depths are compared there."""
 
+ROUNDING = 1e-6
+"""Share of a depth that is rounding: geometries have single precision. Faces in one plane are at the same depth."""
+
 BORDER = 3
 """Pixels of the geometry at the border of a mask whose depths may be mixed with its neighbour's."""
 GRAZING = np.radians(25)
@@ -153,7 +156,7 @@ def _nearer(a: Array, b: Array) -> bool:
     """Whether depth image a (h, w) lies in front of b, inf where empty; True when unsure."""
     both = np.isfinite(a) & np.isfinite(b)
     if np.count_nonzero(both) > ENOUGH:
-        return bool(np.median(a[both] - b[both]) < 0)
+        return bool(np.median(a[both] / b[both]) < 1 - ROUNDING)
     if not np.isfinite(a).any() or not np.isfinite(b).any():
         return True
     return bool(np.median(a[np.isfinite(a)]) < np.median(b[np.isfinite(b)]))
