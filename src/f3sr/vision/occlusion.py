@@ -159,4 +159,4 @@ def _nearer(a: Array, b: Array) -> bool:
         return bool(np.median(a[both] / b[both]) < 1 - ROUNDING)
     if not np.isfinite(a).any() or not np.isfinite(b).any():
         return True
-    return bool(np.median(a[np.isfinite(a)]) < np.median(b[np.isfinite(b)]))
+    return bool(np.median(a[np.isfinite(a)]) < (1 - ROUNDING) * np.median(b[np.isfinite(b)]))
