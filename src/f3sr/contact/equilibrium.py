@@ -275,8 +275,10 @@ class _EquilibriumSearch:
         """Coefficients, by id, with which all weights are balanced where the bodies are: the least of ``FRICTIONS``,
         for those that are ``guessed`` lower. None where theirs do, or where none of these does."""
         low = {id: self.bodies[id].friction for id in guessed if self.bodies[id].friction < FRICTIONS[-1]}
+        if not low:
+            return {}
         _, near, _ = self._near()
-        if not low or self._forces(near, TILTS)[1] < BALANCED:
+        if self._forces(near, TILTS)[1] < BALANCED:
             return {}
         tried = ({id: friction for id, was in low.items() if was < friction} for friction in FRICTIONS)
         return next((more for more in tried if more and self._forces(near, TILTS, more)[1] < BALANCED), {})
