@@ -12,7 +12,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import Compound, placed
@@ -29,7 +28,8 @@ from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds
 from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
-from f3sr.proxies.known_parts import KnownParts, box_of, hull_of
+from f3sr.proxies.known_parts import KnownParts, hull_of
+from f3sr.proxies.neighbouring_parts import NeighbouringParts, are_near
 from f3sr.proxies.pair_volumes import Pair, PairQueue
 from f3sr.scene import GROUND, Scene, SceneObject
 
@@ -144,8 +144,7 @@ class _Fewer:
     ) -> None:
         self._o, self._known, self._limits = o, known, limits
         self._size = known.size
-        self._T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
-        self._contacts = transform(self._T_asset_world, contacts)
+        self._contacts = transform(np.linalg.inv(o.T_world_asset).astype(np.float64), contacts)
         self._found: dict[tuple[ConvexPart, ...], ConvexPart | None] = {}
         self._joined: dict[ConvexPart, tuple[ConvexPart, ...]] = {}
         self._between: dict[ConvexPart, Array] = {}
@@ -153,10 +152,7 @@ class _Fewer:
         self._few: dict[ConvexPart, ConvexPart | None] = {}
         self._nearer = NEARER
         self._reached = limits.apart + REACHED * self._size * o.scale
-        low, high = o.boxes_world[:, 0].min(0) - self._reached, o.boxes_world[:, 1].max(0) + self._reached
-        self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
-        self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
-        self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)
+        self._around = NeighbouringParts(o, others, within=self._reached, reach=limits.reach)
 
     def few(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> PartsAndFooting:
         """Parts and what is left of the footing.
@@ -316,7 +312,7 @@ class _Fewer:
     def _pairs(self, parts: Sequence[ConvexPart], part: ConvexPart, *, anywhere: bool = False) -> list[Pair]:
         """A part with each of those whose boxes touch its own, or with all."""
         boxes = np.array([self._known.box(p) for p in parts]).reshape(-1, 2, 3)
-        near = np.full(len(parts), True) if anywhere else _are_near(boxes, self._known.box(part), NEXT_TO * self._size)
+        near = np.full(len(parts), True) if anywhere else are_near(boxes, self._known.box(part), NEXT_TO * self._size)
         return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
@@ -366,8 +362,8 @@ class _Fewer:
         """Planes (asset frame, normalised), normals (k, 3) and offsets (k,), that separate a part from other bodies."""
         normals, offsets = [-UP], [-float(allowed[-1])]
         body = Polytope.of(part).moved(self._o.T_world_asset)
-        for k in self._near(body.bounds, self._reached):
-            n, heights = polytopes.facets(body, self._others[k])
+        for k in self._around.near(body.bounds, self._reached).tolist():
+            n, heights = polytopes.facets(body, self._around.parts[k])
             best = int(heights.argmin())
             normals.append(n[best])
             offsets.append(float((body.vertices @ n[best]).max()) - float(heights[best]) - float(allowed[k]))
@@ -378,55 +374,13 @@ class _Fewer:
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
         """Whether a part is as far from other bodies' parts and from the ground as ``allowed`` (n + 1,) [m]."""
-        box = box_of(transform(self._o.T_world_asset, part.vertices))
-        near = self._near(box, self._limits.reach)
-        if box[0, 2] < allowed[-1]:
-            return False
-        least = {k: float(allowed[k]) for k in near.tolist()}
-        left = {k: gap for k, gap in least.items() if not self._is_beside(part, k, gap)}
-        if any(gap > 0 and self._holds(part, k) for k, gap in left.items()):
-            return False
-        return all(self._gap(part, k, gap) >= gap for k, gap in left.items())
-
-    def _is_beside(self, part: ConvexPart, other: int, enough: float) -> bool:
-        """Whether a face of either separates the two by ``enough`` [m]: a look that costs little."""
-        normals, offsets = self._known.planes(part)
-        theirs = self._others[other]
-        if ((self._theirs[other] @ normals.T).min(0) - offsets).max() * self._o.scale >= enough:
-            return True
-        ours = transform(self._o.T_world_asset, part.vertices)
-        return bool(((ours @ theirs.normals.T).min(0) - theirs.offsets).max() >= enough)
-
-    def _holds(self, part: ConvexPart, other: int) -> bool:
-        """Whether some vertex of another body's part lies in a part."""
-        return bool((beyond(self._theirs[other], *self._known.planes(part)) < 0).any())
+        return self._around.are_apart(part, self._known.planes(part), allowed)
 
     def _gaps(self, part: ConvexPart) -> Array:
-        """Distance (n + 1,) [m] of a part from other bodies' parts and from the ground, negative inside.
-
-        What is farther than ``reach`` counts as that far."""
+        """Distance (n + 1,) [m] of a part from other bodies' parts and from the ground."""
         if part not in self._between:
-            reach = self._limits.reach
-            gaps = np.full(len(self._others) + 1, reach)
-            box = box_of(transform(self._o.T_world_asset, part.vertices))
-            gaps[-1] = min(reach, float(box[0, 2]))
-            for k in self._near(box, reach):
-                gaps[k] = min(reach, self._gap(part, k, reach))
-            self._between[part] = gaps
+            self._between[part] = self._around.gaps(part)
         return self._between[part]
-
-    def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
-        body = Polytope.of(part).moved(self._o.T_world_asset)
-        return polytopes.separation(body, self._others[other], enough)
-
-    def _near(self, box: Array, apart: float) -> NDArray[np.int64]:
-        """Which of the others' boxes come within ``apart`` [m] of a box (2, 3)."""
-        return np.flatnonzero(_are_near(self._other_boxes, box, apart))
-
-
-def _are_near(boxes: Array, box: Array, apart: float) -> NDArray[np.bool_]:
-    """Which of boxes (n, 2, 3) come within ``apart`` of a box (2, 3)."""
-    return ((boxes[:, 0] - apart < box[1]) & (box[0] - apart < boxes[:, 1])).all(1)
 
 
 class _Tree:

@@ -1,0 +1,92 @@
+"""How near new parts of an object come to all that is around it: parts of other bodies, and the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Polytope
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, transform
+from f3sr.proxies.hulls import beyond
+from f3sr.proxies.known_parts import box_of
+from f3sr.scene import SceneObject
+
+Faces = tuple[Array, Array]
+"""Outward unit normals (m, 3) and offsets (m,) of a part's triangles (asset frame)."""
+
+
+class NeighbouringParts:
+    """What an object's parts may come near to. Its parts are in its asset frame, distances in metres.
+
+    Distances have one entry for each of ``parts`` and the last one for the ground, (n + 1,). They are negative inside.
+    """
+
+    def __init__(self, o: SceneObject, others: Iterable[Polytope], *, within: float, reach: float) -> None:
+        """``others`` are all parts of other bodies: those ``within`` a distance [m] of the object matter. What is
+        farther than ``reach`` [m] counts as that far."""
+        low, high = o.boxes_world[:, 0].min(0) - within, o.boxes_world[:, 1].max(0) + within
+        self.parts = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
+        self._T_world_asset, self._scale, self._reach = o.T_world_asset, o.scale, reach
+        self._boxes = np.array([p.bounds for p in self.parts]).reshape(-1, 2, 3)
+        T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+        self._vertices = [transform(T_asset_world, p.vertices) for p in self.parts]
+        self._middles = np.array([v.mean(0) for v in self._vertices]).reshape(-1, 3)
+
+    def near(self, box: Array, apart: float) -> NDArray[np.int64]:
+        """Which parts have boxes that come within ``apart`` [m] of a box (2, 3) (world)."""
+        return np.flatnonzero(are_near(self._boxes, box, apart))
+
+    def gaps(self, part: ConvexPart) -> Array:
+        """Distances (n + 1,) of a part."""
+        gaps = np.full(len(self.parts) + 1, self._reach)
+        box = box_of(transform(self._T_world_asset, part.vertices))
+        gaps[-1] = min(self._reach, float(box[0, 2]))
+        for k in self.near(box, self._reach).tolist():
+            gaps[k] = min(self._reach, self._gap(part, k, self._reach))
+        return gaps
+
+    def are_apart(self, part: ConvexPart, faces: Faces, allowed: Array) -> bool:
+        """Whether a part with those faces is everywhere as far as ``allowed`` (n + 1,)."""
+        ours = transform(self._T_world_asset, part.vertices)
+        box = box_of(ours)
+        if box[0, 2] < allowed[-1]:
+            return False
+        near = self.near(box, self._reach)
+        if not len(near):
+            return True
+        # A point that lies deep in a part is as far from where the two would be apart, at least.
+        deepest = np.minimum(allowed[near], 0) / self._scale
+        if (beyond(self._middles[near], *faces) < deepest).any():
+            return False
+        beside = self._beyond(near, *faces)
+        starts = np.cumsum([0, *(len(self._vertices[k]) for k in near[:-1].tolist())])
+        if (np.minimum.reduceat(beside.max(1), starts) < deepest).any():
+            return False
+        separated = np.minimum.reduceat(beside, starts).max(1) * self._scale >= allowed[near]
+        return all(
+            _is_beside(self.parts[k], ours, float(allowed[k])) or self._gap(part, k, float(allowed[k])) >= allowed[k]
+            for k in near[~separated].tolist()
+        )
+
+    def _beyond(self, near: NDArray[np.int64], normals: Array, offsets: Array) -> Array:
+        """Distance (v, m) of all vertices of some parts beyond each of a part's faces."""
+        theirs: Array = np.concatenate([self._vertices[k] for k in near.tolist()])
+        return theirs @ normals.T - offsets
+
+    def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
+        body = Polytope.of(part).moved(self._T_world_asset)
+        return polytopes.separation(body, self.parts[other], enough)
+
+
+def are_near(boxes: Array, box: Array, apart: float) -> NDArray[np.bool_]:
+    """Which of boxes (n, 2, 3) come within ``apart`` of a box (2, 3)."""
+    return ((boxes[:, 0] - apart < box[1]) & (box[0] - apart < boxes[:, 1])).all(1)
+
+
+def _is_beside(part: Polytope, points: Array, enough: float) -> bool:
+    """Whether a face of a part separates it from points (n, 3) by ``enough`` [m]: a look that costs little."""
+    return bool(((points @ part.normals.T).min(0) - part.offsets).max() >= enough)
