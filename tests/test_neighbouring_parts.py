@@ -19,19 +19,25 @@ from f3sr.scene import SceneObject
 from scenes import box
 
 REACH = 0.02
+MIDDLE = np.array([0.02, 0.01, 0.1])
 
 
 def scattered(seed: int, count: int) -> list[ConvexPart]:
-    """Hulls of 2 to 12 cm in a cube of 30 cm."""
+    """Hulls of 2 to 12 cm that overlap or nearly do."""
     rng = np.random.default_rng(seed)
-    clouds = (rng.normal(size=(12, 3)) * rng.uniform(0.01, 0.03) + rng.uniform(-0.15, 0.15, 3) for _ in range(count))
+    clouds = (rng.normal(size=(12, 3)) * rng.uniform(0.01, 0.03) + rng.uniform(-0.06, 0.06, 3) for _ in range(count))
     return [ConvexPart.hull_of(cloud) for cloud in clouds]
 
 
 def turned(scale: float) -> SceneObject:
     """An object that is neither upright nor of scale 1."""
     R = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
-    return replace(box(0), T_world_object=pose(R * np.linalg.det(R), np.array([0.02, 0.01, 0.1])), scale=scale)
+    return replace(box(0), T_world_object=pose(R * np.linalg.det(R), MIDDLE), scale=scale)
+
+
+def placed(parts: Sequence[ConvexPart]) -> list[Polytope]:
+    """Parts of other bodies, about the object."""
+    return [Polytope.of(part).shifted(MIDDLE) for part in parts]
 
 
 def exact(o: SceneObject, part: ConvexPart, others: Sequence[Polytope]) -> Array:
@@ -41,13 +47,15 @@ def exact(o: SceneObject, part: ConvexPart, others: Sequence[Polytope]) -> Array
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10_000), scale=st.floats(0.5, 2), nearer=st.floats(-0.01, 0.01))
-def test_apart_is_what_exact_distances_say(seed: int, scale: float, nearer: float) -> None:
+@given(
+    seed=st.integers(0, 10_000), scale=st.floats(0.5, 2), nearer=st.floats(1e-8, 0.01), sign=st.sampled_from([-1, 1])
+)
+def test_apart_is_what_exact_distances_say(seed: int, scale: float, nearer: float, sign: int) -> None:
     part, *rest = scattered(seed, 12)
     o = turned(scale)
-    around = NeighbouringParts(o, map(Polytope.of, rest), within=1.0, reach=REACH)
+    around = NeighbouringParts(o, placed(rest), within=1.0, reach=REACH)
     distances = exact(o, part, around.parts)
-    allowed = np.minimum(distances, REACH) - nearer
+    allowed = np.minimum(distances - sign * nearer, REACH)
     assert around.are_apart(part, planes(part), allowed) == bool((np.minimum(distances, REACH) >= allowed).all())
     np.testing.assert_allclose(around.gaps(part), np.minimum(distances, REACH), atol=1e-12)
 
@@ -57,7 +65,7 @@ def test_one_part_that_is_too_near_is_enough(k: int) -> None:
     """One that is nearer than allowed by a micrometre, among parts that are as far as allowed."""
     part, *rest = scattered(k, 12)
     o = turned(1.0)
-    around = NeighbouringParts(o, map(Polytope.of, rest), within=1.0, reach=REACH)
+    around = NeighbouringParts(o, placed(rest), within=1.0, reach=REACH)
     gaps = around.gaps(part)
     asked = gaps - 1e-9
     assert around.are_apart(part, planes(part), asked)

@@ -50,7 +50,7 @@ class NeighbouringParts:
         return gaps
 
     def are_apart(self, part: ConvexPart, faces: Faces, allowed: Array) -> bool:
-        """Whether a part with those faces is everywhere as far as ``allowed`` (n + 1,)."""
+        """Whether a part with those faces is everywhere as far as ``allowed`` (n + 1,), which is at most ``reach``."""
         ours = transform(self._T_world_asset, part.vertices)
         box = box_of(ours)
         if box[0, 2] < allowed[-1]:
