@@ -18,10 +18,15 @@ from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.balance import balance
 from f3sr.stages.close import close, lowered
-from f3sr.stages.refine import GAIN, HOPELESS, UPRIGHT, moved_off_masks
+from f3sr.stages.refine import GAIN, UPRIGHT, moved_off_masks
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
 from f3sr.stages.settle import at_rest
 from f3sr.uncertainty.pose_information import precisions
+
+WON_BACK = 0.02
+"""Most score that closing its gaps may win back for a group: .013 after ``separate``, which leaves gaps."""
+WON_BACK_BALANCED = 0.0
+"""The same for a group in balance: in none of 30 such ends it won anything."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +53,8 @@ class ContactRetries:
             return SettledScene(scene=before, restless=frozenset())
         if retry.moving & balanced:
             rested = self._nearest_balance(retry.scene, self._costs(retry.scene))
-        else:
-            rested = self._separated(retry.scene)
-        return self._ended(retry, rested)
+            return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
+        return self._ended(retry, self._separated(retry.scene))
 
     def stood_up(self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
         """Turn objects onto a stable facet and align them so. None is put back."""
@@ -60,8 +64,7 @@ class ContactRetries:
     def replaced(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
         """Separate objects and let them settle."""
         retry = Retry.of_moving(before, start, moving)
-        rested = self._separated(retry.scene)
-        return self._ended(retry, rested)
+        return self._ended(retry, self._separated(retry.scene))
 
     def settled(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
         """As ``replaced``, but none is put back."""
@@ -76,13 +79,13 @@ class ContactRetries:
         once more, with colliders that are cut back as to lower the group from the first one."""
         retry = Retry.of_moving(before, start, moving)
         rested = self._best_balance(retry.scene)
-        best = self._ended(retry, rested)
+        best = self._ended(retry, rested, won_back=WON_BACK_BALANCED)
         if moved_off_masks(best, rested, self._contact):
             down = lowered(rested.scene, self.config.close)
             cut = (replace(o, parts=down[o.id].parts) for o in retry.scene if o.id in moving)
             retry = replace(retry, scene=retry.scene.with_objects(*cut))
             rested = self._best_balance(retry.scene)
-            again = self._ended(retry, rested)
+            again = self._ended(retry, rested, won_back=WON_BACK_BALANCED)
             best = best.or_better(again, self._contact.apart)
         return best
 
@@ -90,8 +93,8 @@ class ContactRetries:
     def _contact(self) -> ContactMargin:
         return self.config.refine.contact
 
-    def _ended(self, retry: Retry, rested: SettledScene) -> SettledScene:
-        return self._delivered(retry.without_losers(rested, self._contact), rested)
+    def _ended(self, retry: Retry, rested: SettledScene, *, won_back: float = WON_BACK) -> SettledScene:
+        return self._delivered(retry.without_losers(rested, self._contact, won_back=won_back), rested)
 
     def _delivered(self, retry: Retry, rested: SettledScene) -> SettledScene:
         """What came to rest, closed, and with all that was held free again."""
@@ -123,12 +126,18 @@ class ContactRetries:
     def _nearest_balance(
         self, scene: Scene, costs: Mapping[int, Array], *, apart: bool = False, start: Scene | None = None
     ) -> SettledScene:
-        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
+        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
+
+        The second kind is not asked where all groups rest on the first and show what they show in balance."""
         footed = partial(on_own_footings, config=self.config.separate)
         guessed = [o.id for o in scene if o.mobility != "fixed" and _is_guessed(o)]
         placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed)
+        rested, shown = self._at_rest(placed), SettledScene(scene=placed, restless=frozenset()).scores
+        groups = groups_of(placed, rested.scene, self._contact.apart)
+        if not rested.restless and all(mean_gain(g, shown, rested.scores) > -GAIN for g in groups):
+            return rested
         standing = on_footings_in_place(placed, self.config.separate)
-        return self._at_rest(placed).or_better(self._at_rest(standing), self._contact.apart)
+        return rested.or_better(self._at_rest(standing), self._contact.apart)
 
     def _costs(self, scene: Scene) -> Mapping[int, Array]:
         """What moves of each free object cost in ``balance``, by id."""
@@ -188,11 +197,11 @@ class Retry:
         both = settled(replace(scene, objects=tuple(o for o in scene if o.id in mixed)))
         return SettledScene(scene=scene.with_objects(*both.scene), restless=(rested.restless - mixed) | both.restless)
 
-    def without_losers(self, rested: SettledScene, contact: ContactMargin) -> Retry:
-        """The retry without groups that lost so much that ``close`` will not win it back: they are as before."""
+    def without_losers(self, rested: SettledScene, contact: ContactMargin, *, won_back: float = WON_BACK) -> Retry:
+        """The retry without groups that lost more score than ``close`` may win back: they are as before."""
         was, now = SettledScene(scene=self.before, restless=frozenset()).scores, rested.scores
         groups = groups_of(self.before, rested.scene, contact.apart)
-        lost = {id for g in groups if g & self.moving and mean_gain(g & self.moving, was, now) < -HOPELESS for id in g}
+        lost = {id for g in groups if g & self.moving and mean_gain(g & self.moving, was, now) < -won_back for id in g}
         back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
         return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
 

@@ -40,8 +40,7 @@ object, from which on it is re-aligned alone."""
 PATIENCE = 3
 """Objects that are re-aligned alone in vain, one after the other, until the others are left."""
 HOPELESS = 0.02
-"""Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
-whatever its measured depths gain."""
+"""Loss of visible IoU of a group from which on it is undone, whatever its measured depths gain."""
 UNMOVED = 1e-12
 """Shift [m] and turn [rad] of a camera that are rounding."""
 AGAIN = 3e-3
