@@ -26,9 +26,11 @@ class SettleStageConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     settling: SettleConfig = field(default_factory=SettleConfig)
 
-    def within(self, rounds: int) -> Self:
-        """The same with no more rounds."""
-        return replace(self, settling=replace(self.settling, rounds=min(rounds, self.settling.rounds)))
+    def within(self, rounds: int, seconds: float = np.inf) -> Self:
+        """The same with no more rounds, and no more damped simulation [s]."""
+        was = self.settling
+        less = replace(was, rounds=min(rounds, was.rounds), time_limit=min(seconds, was.time_limit))
+        return replace(self, settling=less)
 
 
 @dataclass(frozen=True, kw_only=True)
