@@ -158,6 +158,15 @@ def test_friction_decides_whether_a_box_slides_down_a_slope(friction: float, sli
     assert (travel > 0.1) == slides and result.at_rest != slides
 
 
+def test_only_what_still_moves_at_the_end_of_a_check_does_not_rest() -> None:
+    """What drifts little and has not stopped is told; what rests elsewhere in the scene is not spoilt by it."""
+    scene = [box(0, at=(0, 0, 0.05)), box(1, at=(1, 0, 40))]
+    rest = RestConfig(drift=10.0, even_masses=False)
+    result = settle(scene, settling=SettleConfig(time_limit=0.2, check_time=0.2, rounds=1, rest=rest))
+    assert not result.at_rest and max(result.drifts.values()) < rest.drift
+    assert result.moving == {1}
+
+
 def test_a_scene_without_rest_is_reported_within_the_time_limit() -> None:
     high = [box(0, at=(0, 0, 500))]
     result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1, rest=RestConfig(window=0.05)))

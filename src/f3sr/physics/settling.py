@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
+from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion
 from f3sr.physics.mujoco_model import (
@@ -92,6 +93,8 @@ class SettleResult:
     drifts: Mapping[int, float]
     """Largest travel of every centre of mass, but upward, in the last undamped check [m], foreseen where it creeps;
     infinite when there was none."""
+    moving: frozenset[int]
+    """Ids of the objects that did not rest in that check: they drifted too far, or still moved at its end."""
     loads: Mapping[tuple[int, int], float]
     """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
 
@@ -127,12 +130,12 @@ def settle(
         check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run, model = _Settling(near, settling), near.model
     data, calm = mujoco.MjData(model), False
-    drifts, history = np.full(len(objects), np.inf), list[float]()
+    drifts, moving, history = np.full(len(objects), np.inf), np.full(len(objects), True), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
         if run.exploded:
             break
-        drifts, failed = run.released(checks, data)
+        drifts, moving, failed = run.released(checks, data)
         calm = failed is None
         data = _fresh(model, failed) if failed else data
         history.append(float(drifts.max()))
@@ -145,6 +148,7 @@ def settle(
         seconds=run.seconds,
         max_speed=run.max_speed,
         drifts={o.id: float(d) for o, d in zip(objects, drifts, strict=True)},
+        moving=frozenset(o.id for o, moves in zip(objects, moving, strict=True) if moves or run.exploded),
         loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
 
@@ -182,35 +186,38 @@ class _Settling:
             for _ in range(self._window):
                 self._step(data, damping)
             self.seconds += self.config.rest.window
-            if self._slow(before, Snapshot.of(data)):
+            if not self._moving(before, Snapshot.of(data)).any():
                 return
 
-    def released(self, checks: Mapping[NearPairs, float], data: MjData) -> tuple[Array, MjData | None]:
+    def released(
+        self, checks: Mapping[NearPairs, float], data: MjData
+    ) -> tuple[Array, NDArray[np.bool_], MjData | None]:
         """Undamped checks of so many seconds from the positions of ``data``, all at the same time: MuJoCo releases the
-        GIL. The largest travel of every centre of mass (n,) [m] up to the first check that fails, and where that
-        ended; None where all rest."""
+        GIL. The largest travel of every centre of mass (n,) [m] up to the first check that fails, which bodies (n,) do
+        not rest in it, and where it ended; None where all rest."""
         runs = [_Settling(near, self.config) for near in checks]
         ends = [_fresh(near.model, data) for near in checks]
         going_on = [begun(run.undamped, *given) for run, *given in zip(runs, ends, checks.values(), strict=True)]
-        drifts = np.zeros(self._model.nbody - 1)
+        drifts, moving = np.zeros(self._model.nbody - 1), np.full(self._model.nbody - 1, False)
         for run, end, check in zip(runs, ends, going_on, strict=True):
-            travels, calm = check.result()
+            travels, moving = check.result()
             drifts = np.maximum(drifts, travels)
             self.max_speed, self.exploded = max(self.max_speed, run.max_speed), self.exploded or run.exploded
-            if not calm:
+            if moving.any():
                 for other in runs:
                     other.unwanted = True
-                return drifts, end
-        return drifts, None
+                return drifts, moving, end
+        return drifts, moving, None
 
-    def undamped(self, data: MjData, seconds: float) -> tuple[Array, bool]:
-        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
+    def undamped(self, data: MjData, seconds: float) -> tuple[Array, NDArray[np.bool_]]:
+        """Undamped steps: the largest travel of every centre of mass (n,) [m], and which bodies (n,) do not rest.
 
         They end early when no body would drift too far even if its travel went on growing as it does. They also end
         when a body creeps: then the travels are those foreseen for all of the time."""
         engine().mj_forward(self._model, data)
         seen = [Snapshot.of(data)]
         squares, drifts = np.zeros(self._model.nbody), np.zeros(self._model.nbody - 1)
+        limit = self.config.rest.drift
         windows = max(1, round(seconds / self.config.rest.window))
         while len(seen) <= windows and not self.unwanted:
             for _ in range(self._window):
@@ -220,14 +227,14 @@ class _Settling:
                 squares = np.maximum(squares, np.add.reduce(way * way, axis=1))
             drifts = np.sqrt(squares[1:])
             seen.append(Snapshot.of(data))
-            if self.exploded or drifts.max() > 20 * self.config.rest.drift:
-                return drifts, False
-            outlook = Outlook.of(seen, drifts, self.config.rest.drift, left=windows - len(seen) + 1)
+            if self.exploded or drifts.max() > 20 * limit:
+                return drifts, (drifts > limit) | self.exploded
+            outlook = Outlook.of(seen, drifts, limit, left=windows - len(seen) + 1)
             if outlook and outlook.rests:
                 break
             if outlook and outlook.creeps:
-                return outlook.foreseen, False
-        return drifts, self._slow(*seen[-2:]) and bool(drifts.max() <= self.config.rest.drift)
+                return outlook.foreseen, outlook.foreseen > limit
+        return drifts, self._moving(*seen[-2:]) | (drifts > limit)
 
     @property
     def _model(self) -> MjModel:
@@ -248,13 +255,13 @@ class _Settling:
         self.max_speed = max(self.max_speed, speed)
         self.exploded = self.exploded or not math.isfinite(speed)
 
-    def _slow(self, before: Snapshot, after: Snapshot) -> bool:
-        """True when every body's mean speeds between two snapshots, one window apart, are below both limits."""
-        linear = np.linalg.norm(after.centers - before.centers, axis=1).max() / self.config.rest.window
-        turns = np.einsum("nij,nij->n", after.turns, before.turns)
-        angular = np.arccos(np.clip((turns.min() - 1) / 2, -1, 1)) / self.config.rest.window
-        self.exploded = self.exploded or not np.isfinite(linear + angular)
-        return bool(linear < self.config.rest.speed and angular < self.config.rest.turning)
+    def _moving(self, before: Snapshot, after: Snapshot) -> NDArray[np.bool_]:
+        """Which bodies (n,) have mean speeds over the limits between two snapshots, one window apart."""
+        linear = np.linalg.norm(after.centers - before.centers, axis=1)[1:] / self.config.rest.window
+        turns = np.einsum("nij,nij->n", after.turns, before.turns)[1:]
+        angular = np.arccos(np.clip((turns - 1) / 2, -1, 1)) / self.config.rest.window
+        self.exploded = self.exploded or not np.isfinite(linear + angular).all()
+        return ~((linear < self.config.rest.speed) & (angular < self.config.rest.turning))
 
 
 def pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:

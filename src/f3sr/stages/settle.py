@@ -12,7 +12,7 @@ from f3sr.core.transforms import Array, invert_pose, rotation_angle
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.physics import settling as physics_settling
 from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.physics.settling import SettleConfig, SettleResult
+from f3sr.physics.settling import SettleConfig
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject, Support, name_of
 from f3sr.settings import settings
@@ -98,7 +98,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         drifts={o.id: result.drifts[o.id] for o in scene},
         travel={a.id: _travel(a, b) for a, b in zip(scene, moved, strict=True)},
         turns={a.id: _turn(a, b) for a, b in zip(scene, moved, strict=True)},
-        restless=_restless(result, config.settling.rest.drift),
+        restless=result.moving,
         decisions=tuple(decisions),
     )
     return scene.with_objects(*moved), outcome
@@ -108,12 +108,6 @@ def at_rest(scene: Scene, config: SettleStageConfig) -> SettledScene:
     """The scene after ``settle``, and which of its objects do not rest."""
     scene, settled = settle(scene, config)
     return SettledScene(scene=scene, restless=settled.restless)
-
-
-def _restless(result: SettleResult, limit: float) -> frozenset[int]:
-    """Objects that drift farther than ``limit`` [m]; all where none does and they are not at rest all the same."""
-    moving = frozenset(id for id, drift in result.drifts.items() if not drift <= limit)
-    return moving if moving or result.at_rest else frozenset(result.drifts)
 
 
 def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float]) -> SceneObject:
