@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.contact.undersides import Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, area_vectors
@@ -23,13 +22,8 @@ def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
     boxes = boxes_of([p.vertices[:, :2] for p in parts]) if parts else np.empty((0, 2, 2))
     is_near = ((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(1)
     near = [parts[k] for k in np.flatnonzero(is_near).tolist()]
-    if not near:
-        return np.zeros((0, 3))
-    starts = np.cumsum([0, *(len(p.vertices) for p in near[:-1])])
-    vertices = np.concatenate([p.vertices for p in near])
-    faces = np.concatenate([p.faces + start for p, start in zip(near, starts, strict=True)])
-    part = np.repeat(np.arange(len(near)), [len(p.faces) for p in near])
-    return np.concatenate([_clipped_edges(vertices, faces, region), _at_corners(vertices, faces, part, region.corners)])
+    found = [points for p in near for points in (_clipped_edges(p, region), _at_corners(p, region.corners))]
+    return np.concatenate(found) if found else np.zeros((0, 3))
 
 
 def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane | None:
@@ -57,11 +51,11 @@ def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane |
     return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))
 
 
-def _clipped_edges(vertices: Array, faces: NDArray[np.int64], region: Outline) -> Array:
-    """Ends (n, 3) of the edges of parts inside the region (Liang and Barsky 1984)."""
-    start, end = np.concatenate([faces, np.roll(faces, -1, axis=1)]).reshape(2, -1)
+def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
+    """Ends (n, 3) of the edges of a part inside the region (Liang and Barsky 1984)."""
+    start, end = np.concatenate([part.faces, np.roll(part.faces, -1, axis=1)]).reshape(2, -1)
     start, end = start[start < end], end[start < end]
-    beyond = vertices[:, :2] @ region.normals.T - region.offsets
+    beyond = part.vertices[:, :2] @ region.normals.T - region.offsets
     a, b = beyond[start], beyond[end]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = a / (a - b)
@@ -69,33 +63,21 @@ def _clipped_edges(vertices: Array, faces: NDArray[np.int64], region: Outline) -
     leaves = np.where(b > a, crossing, np.inf).min(1)
     first, last = np.maximum(enters, 0.0), np.minimum(leaves, 1.0)
     met = first <= last
-    p, q = vertices[start[met]], vertices[end[met]]
+    p, q = part.vertices[start[met]], part.vertices[end[met]]
     return np.concatenate([p + share[met, None] * (q - p) for share in (first, last)])
 
 
-def _at_corners(vertices: Array, faces: NDArray[np.int64], part: NDArray[np.int64], corners: Array) -> Array:
-    """The upper sides of parts over points (k, 2): points (n, 3), none where a part is not.
-
-    ``part`` (m,), in order, tells of which part each of the faces (m, 3) is."""
-    triangles = vertices[faces]
+def _at_corners(part: ConvexPart, corners: Array) -> Array:
+    """The upper side of a part over points (k, 2): points (n, 3), none where the part is not."""
+    triangles = part.vertices[part.faces]
     normals = area_vectors(triangles)
     lengths = np.linalg.norm(normals, axis=1)
     real = lengths > 0
-    normals, a, part = normals[real] / lengths[real, None], triangles[real, 0], part[real]
+    normals, a = normals[real] / lengths[real, None], triangles[real, 0]
     # (k, m): how far each corner may rise below each face, times the face's vertical share.
     room = np.einsum("mi,mi->m", normals, a) - corners @ normals[:, :2].T
     up, down = normals[:, 2] > STEEP, normals[:, 2] < -STEEP
-    shape = len(corners), int(part[-1]) + 1
-    top, bottom, beside = np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf)
-    _reduce(np.minimum, room[:, up] / normals[up, 2], part[up], top)
-    _reduce(np.maximum, room[:, down] / normals[down, 2], part[down], bottom)
-    _reduce(np.minimum, room[:, ~up & ~down], part[~up & ~down], beside)
-    corner, which = np.nonzero((beside >= 0) & (top >= bottom) & np.isfinite(top))
-    return np.column_stack([corners[corner], top[corner, which]])
-
-
-def _reduce(least_or_most: np.ufunc, values: Array, part: NDArray[np.int64], into: Array) -> None:
-    """Reduce values (k, m) over the faces of each part, where it has some, into an array (k, n)."""
-    is_first = np.diff(part, prepend=-1) > 0
-    if is_first.any():
-        into[:, part[is_first]] = least_or_most.reduceat(values, np.flatnonzero(is_first), axis=1)
+    top = (room[:, up] / normals[up, 2]).min(1)
+    bottom = (room[:, down] / normals[down, 2]).max(1)
+    is_over = (room[:, ~up & ~down] >= 0).all(1) & (top >= bottom)
+    return np.column_stack([corners, top])[is_over]
