@@ -90,3 +90,35 @@ def test_what_slides_wherever_it_is_stays_and_is_told():
     assert soft_release(scene.objects, SOFT_TRAVEL).keys() == {0, 1}
     assert travel(scene, after, 1) < 1e-3
     assert [(d.about, d.choice) for d in told.decisions] == [(1, "stays")]
+
+
+@pytest.mark.parametrize(("rest", "stays"), [(0.009, False), (0.016, True)])
+def test_what_creeps_by_millimetres_stays_where_it_would_rest_farther_off_the_photo(
+    rest: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """Soft contacts move a beam by 9 mm. Where it then rests, it loses less than .05 of visible IoU, but maybe more."""
+    scene = scene_of(box(0, size=(0.9, 0.1, 0.1), at=(0, 0.2, 0.05)))
+    was = scene.camera
+    camera = replace(was, width=10 * was.width, height=10 * was.height, K=was.K * [[10], [10], [1]])
+    photo = replace(scene.photo, rgb=np.tile(scene.photo.rgb, (10, 10, 1)))
+    beam = replace(scene[0], mask=rasterizer.render(scene.objects, camera).ids == 0)
+    scene = replace(scene, photo=photo, camera=camera, objects=(beam,))
+
+    def at(x: float) -> Array:
+        return pose(t=np.array([x, 0, 0])) @ beam.T_world_object
+
+    def settled(now: Scene) -> SettledScene:
+        moved = now[0].T_world_object[0, 3] > 0
+        return SettledScene(
+            scene=now.with_objects(replace(now[0], T_world_object=at(rest if moved else 0.0))), restless=frozenset()
+        )
+
+    ends = [{0: at(0.009)}]
+
+    def released(_objects: object, _far: float) -> dict[int, Array]:
+        return ends.pop() if ends else {}
+
+    monkeypatch.setattr("f3sr.stages.coarsen.soft_release", released)
+    after, told = coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=settled)
+    assert after[0].T_world_object[0, 3] == pytest.approx(0.0 if stays else rest)
+    assert [d.choice for d in told.decisions] == ["stays" if stays else "moved by 9 mm"]

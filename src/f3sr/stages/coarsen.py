@@ -13,7 +13,7 @@ from annotated_types import Interval
 
 from f3sr.contact.undersides import FootingConfig
 from f3sr.core.transforms import Array, invert_pose
-from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
 from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.soft_contacts import soft_release
@@ -41,8 +41,9 @@ FINER = 0.1
 """What a part fewer is worth of an object that moved, as a share of before."""
 LOSS_TO_WITHSTAND = 0.05
 """Largest mean loss of visible IoU of a group for a place where it rests on soft contacts too: what loses more would
-miss its mask. A marker that falls into an organizer costs its group .04, fruit that slides off its heap .09, a lemon
-that slides down the wall of a bowl .23."""
+miss its mask. Nor may it lose more, by ``LOSS``, than where it falls or slides to on soft contacts. A marker that falls
+into an organizer costs its group .04, fruit that slides off its heap .09, a lemon that slides down the wall of a bowl
+.23."""
 SOFT_TRAVEL = 8e-3
 """Travel on soft contacts [m] from which on an object falls or slides: what stays creeps by up to 6 mm in 20 scenes."""
 SOFT_ROUNDS = 3
@@ -232,10 +233,13 @@ class _Coarsening:
                 self._take(best, ids, among, reason="had too many parts, or these too many vertices")
 
     def withstand_soft_contacts(self) -> None:
-        """Let groups in which an object falls on soft contacts rest where that ends, if it ends."""
+        """Let groups in which an object falls on soft contacts rest where that ends, if it ends.
+
+        Objects that creep or sink by millimetres may come to rest far from there. Then the photo speaks against it."""
         scene, moved, restless = self.scene, set[int](), frozenset[int]()
-        for _ in range(SOFT_ROUNDS):
-            falling = self._falling(scene)
+        fallen = self._falling(scene)
+        for k in range(SOFT_ROUNDS):
+            falling = self._falling(scene) if k else fallen
             if not falling or restless:
                 break
             moved |= falling.keys()
@@ -244,8 +248,10 @@ class _Coarsening:
         if not moved:
             return
         restless |= self._falling(scene).keys()
+        was, there = visible_ious(self.scene), visible_ious(self.scene.with_objects(*fallen.values()))
         for ids, effect in self._effects(scene, frozenset(moved), restless).items():
-            stays = bool(effect.restless) or effect.loss > LOSS_TO_WITHSTAND
+            most = min(LOSS_TO_WITHSTAND, LOSS - mean_gain(ids, was, there))
+            stays = bool(effect.restless) or effect.loss > most
             for id in sorted(ids & moved):
                 travel = f"{1000 * _travel(self.scene[id], scene[id]):.0f} mm"
                 self._told.append(_on_soft_contacts(id, travel, effect, stays=stays))
