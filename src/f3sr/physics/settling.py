@@ -82,8 +82,6 @@ class SettleResult:
 
     T_world_object: Mapping[int, Array]
     """The final pose of every object, fixed ones included; the initial poses when ``exploded``."""
-    at_rest: bool
-    """True when the final poses passed the undamped check."""
     exploded: bool
     """True when the state stopped being finite."""
     seconds: float
@@ -97,6 +95,11 @@ class SettleResult:
     """Ids of the objects that did not rest in that check: they drifted too far, or still moved at its end."""
     loads: Mapping[tuple[int, int], float]
     """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the final poses passed the undamped check."""
+        return not self.moving
 
 
 def even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
@@ -129,21 +132,19 @@ def settle(
     for check in checks:
         check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run, model = _Settling(near, settling), near.model
-    data, calm = mujoco.MjData(model), False
+    data = mujoco.MjData(model)
     drifts, moving, history = np.full(len(objects), np.inf), np.full(len(objects), True), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
         if run.exploded:
             break
         drifts, moving, failed = run.released(checks, data)
-        calm = failed is None
         data = _fresh(model, failed) if failed else data
         history.append(float(drifts.max()))
-        if calm or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
+        if failed is None or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
     return SettleResult(
         T_world_object={o.id: o.T_world_object if run.exploded else pose_of(model, data, o) for o in objects},
-        at_rest=calm and not run.exploded,
         exploded=run.exploded,
         seconds=run.seconds,
         max_speed=run.max_speed,

@@ -12,7 +12,7 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.surface_samples import sample_surface
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, bounds_of
 from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import planes
 from f3sr.proxies.pair_volumes import PairVolumes
@@ -60,7 +60,7 @@ class KnownParts:
     def box(self, part: ConvexPart) -> Array:
         """(2, 3) lowest and highest corner of a part."""
         if part not in self._boxes:
-            self._boxes[part] = box_of(part.vertices)
+            self._boxes[part] = bounds_of(part.vertices)
         return self._boxes[part]
 
     def few(self, part: ConvexPart, most: int, near: Bounds) -> ConvexPart:
@@ -78,8 +78,3 @@ def hull_of(points: Array) -> ConvexPart | None:
         return ConvexPart.hull_of(points)
     except ValueError:
         return None
-
-
-def box_of(points: Array) -> Array:
-    """(2, 3) lowest and highest corner."""
-    return np.stack([points.min(0), points.max(0)])

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, transform
+from f3sr.core.transforms import Array, bounds_of, transform
 from f3sr.proxies.hulls import beyond
-from f3sr.proxies.known_parts import box_of
 from f3sr.scene import SceneObject
 
 Faces = tuple[Array, Array]
@@ -43,7 +42,7 @@ class NeighbouringParts:
     def gaps(self, part: ConvexPart) -> Array:
         """Distances (n + 1,) of a part."""
         gaps = np.full(len(self.parts) + 1, self._reach)
-        box = box_of(transform(self._T_world_asset, part.vertices))
+        box = bounds_of(transform(self._T_world_asset, part.vertices))
         gaps[-1] = min(self._reach, float(box[0, 2]))
         for k in self.near(box, self._reach).tolist():
             gaps[k] = min(self._reach, self._gap(part, k, self._reach))
@@ -52,7 +51,7 @@ class NeighbouringParts:
     def are_apart(self, part: ConvexPart, faces: Faces, allowed: Array) -> bool:
         """Whether a part with those faces is everywhere as far as ``allowed`` (n + 1,), which is at most ``reach``."""
         ours = transform(self._T_world_asset, part.vertices)
-        box = box_of(ours)
+        box = bounds_of(ours)
         if box[0, 2] < allowed[-1]:
             return False
         near = self.near(box, self._reach)
@@ -62,8 +61,9 @@ class NeighbouringParts:
         deepest = np.minimum(allowed[near], 0) / self._scale
         if (beyond(self._middles[near], *faces) < deepest).any():
             return False
-        beside = self._beyond(near, *faces)
-        starts = np.cumsum([0, *(len(self._vertices[k]) for k in near[:-1].tolist())])
+        theirs, (normals, offsets) = [self._vertices[k] for k in near.tolist()], faces
+        starts = np.cumsum([0, *map(len, theirs[:-1])])
+        beside: Array = np.concatenate(theirs) @ normals.T - offsets
         if (np.minimum.reduceat(beside.max(1), starts) < deepest).any():
             return False
         separated = np.minimum.reduceat(beside, starts).max(1) * self._scale >= allowed[near]
@@ -71,11 +71,6 @@ class NeighbouringParts:
             _is_beside(self.parts[k], ours, float(allowed[k])) or self._gap(part, k, float(allowed[k])) >= allowed[k]
             for k in near[~separated].tolist()
         )
-
-    def _beyond(self, near: NDArray[np.int64], normals: Array, offsets: Array) -> Array:
-        """Distance (v, m) of all vertices of some parts beyond each of a part's faces."""
-        theirs: Array = np.concatenate([self._vertices[k] for k in near.tolist()])
-        return theirs @ normals.T - offsets
 
     def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
         body = Polytope.of(part).moved(self._T_world_asset)

@@ -237,17 +237,17 @@ class _Coarsening:
 
         Objects that creep or sink by millimetres may come to rest far from there. Then the photo speaks against it."""
         scene, moved, restless = self.scene, set[int](), frozenset[int]()
-        fallen = self._falling(scene)
-        for k in range(SOFT_ROUNDS):
-            falling = self._falling(scene) if k else fallen
+        fallen = falling = self._falling(scene)
+        for _ in range(SOFT_ROUNDS):
             if not falling or restless:
                 break
             moved |= falling.keys()
             rested = self._settled(scene.with_objects(*falling.values()))
             scene, restless = rested.scene, rested.restless - self._restless
+            falling = self._falling(scene)
         if not moved:
             return
-        restless |= self._falling(scene).keys()
+        restless |= falling.keys()
         was, there = visible_ious(self.scene), visible_ious(self.scene.with_objects(*fallen.values()))
         for ids, effect in self._effects(scene, frozenset(moved), restless).items():
             most = min(LOSS_TO_WITHSTAND, LOSS - mean_gain(ids, was, there))
