@@ -148,6 +148,30 @@ def test_a_broken_session_is_one_clear_error_and_nothing_is_written(name: str, s
     assert not (tmp_path / "in").exists()
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda folder: (folder / "materials.json").write_text("{}"),
+            "holds materials.json, which f3sr import did not",
+        ),
+        (lambda folder: (folder / "masks" / "link.png").symlink_to("/dev/zero"), "holds masks/link.png"),
+        (lambda folder: (folder / "image.png").write_bytes(b"mine"), "image.png was changed or removed since"),
+        (lambda folder: (folder / "assets" / "poses.json").unlink(), "assets/poses.json was changed or removed since"),
+    ],
+)
+def test_a_folder_that_was_worked_on_is_not_replaced(
+    session: Path, tmp_path: Path, change: Callable[[Path], object], told: str
+):
+    composition = fysiverse.read(ImportSource(path=session))
+    folder = write_imported(tmp_path / "in", composition, drawn(composition))
+    change(folder)
+    before = sorted((p, p.is_file() and not p.is_symlink() and p.read_bytes()) for p in folder.rglob("*"))
+    with pytest.raises(OutputError, match=told):
+        write_imported(folder, composition, drawn(composition))
+    assert before == sorted((p, p.is_file() and not p.is_symlink() and p.read_bytes()) for p in folder.rglob("*"))
+
+
 def test_other_folders_are_named_and_never_replaced(session: Path, tmp_path: Path):
     assert main(["import", str(tmp_path), "-o", str(tmp_path / "in")]) == 2
     (tmp_path / "mine").mkdir()

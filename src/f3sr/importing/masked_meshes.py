@@ -15,12 +15,11 @@ from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes
 from f3sr.importing.import_source import ImportSource, Masks
-from f3sr.importing.imported_folder import NOTE, as_json, grey, photo_name, require_own
+from f3sr.importing.imported_folder import as_json, grey, importing, photo_name
 from f3sr.importing.lens_by_poses import fitted_focal
 from f3sr.importing.mesh_matching import matched
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.masks import MIN_PIXELS
-from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene import Photo
 from f3sr.segmentation.input_folder_writer import mask_name
 from f3sr.segmentation.selection import Selection, told_apart
@@ -97,27 +96,26 @@ def _apart(photo: Photo, masks: Masks) -> tuple[dict[int, NDArray[np.bool_]], ND
 def write_masked_meshes(out: Path, given: MaskedMeshes) -> Path:
     """Write photo, masks, meshes and what is known of each; returns the full path. Raises OutputError."""
     full = Path(out).absolute().resolve()
-    with claimed(full, require_own) as claim:
-        claim.write(photo_name(given.photo), given.photo)
+    with importing(full) as folder:
+        folder.write(photo_name(given.photo), given.photo)
         for id, mask in given.masks.items():
-            claim.write(f"masks/{mask_name(id, given.labels[id])}", grey(mask))
+            folder.write(f"masks/{mask_name(id, given.labels[id])}", grey(mask))
         if given.ground.sum() >= MIN_PIXELS:
-            claim.write("ground.png", grey(given.ground))
+            folder.write("ground.png", grey(given.ground))
         if given.found.points is not None:
-            claim.write("geometry.npz", _geometry(given.found.points))
+            folder.write("geometry.npz", _geometry(given.found.points))
         if given.focal is not None:
-            claim.write("intrinsics.json", as_json(_intrinsics(given)))
+            folder.write("intrinsics.json", as_json(_intrinsics(given)))
         for id, found in given.meshes.items():
-            claim.write(f"assets/{id:02d}.glb", mesh_to_glb(found.mesh, name=f"{id:02d}"))
-            claim.write(f"assets/{id:02d}.json", _answer(id, found, given))
+            folder.write(f"assets/{id:02d}.glb", mesh_to_glb(found.mesh, name=f"{id:02d}"))
+            folder.write(f"assets/{id:02d}.json", _answer(id, found, given))
         note = {
             "source": given.found.source,
             "masks": "given",
             "poses": "given, to be read by the masks" if given.has_poses else "none: found by the masks",
             "remarks": list(given.remarks),
         }
-        claim.write(NOTE, as_json(note))
-        claim.replace()
+        folder.end(note)
     return full
 
 
