@@ -42,6 +42,7 @@ from f3sr.goals.simulate import simulate_phase
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.language.capabilities import menu
+from f3sr.language.planner import planned
 from f3sr.language.reasoner import at_rest, declared, semantics_of
 from f3sr.launches.flights import dropping
 from f3sr.launches.launch_context import LaunchContext
@@ -404,6 +405,15 @@ def test_what_is_too_heavy_to_push_is_refused_and_all_else_is_played(
             assert isinstance(found, Played)
         else:
             assert isinstance(found, Refusal) and found.reason == "impossible" and f"{mass} kg" in found.message
+
+
+@pytest.mark.parametrize("goal", ["push the tank", "throw the tank", "knock over the tank", "drop the tank"])
+def test_what_no_plan_has_a_way_for_is_refused(goal: str) -> None:
+    tank = replace(box(0, size=(30, 30, 90), label="tank"), T_world_object=pose(t=(0, 0, 45)))
+    scene = replace(goal_scene(), objects=(replace(tank, parts=(tank.mesh.hull,)),))
+    found = planned(goal, scene)
+    assert isinstance(found, Refusal) and found.message == "the tank is 99 m large; accepted: at most 14 m"
+    assert menu(scene)[0].verbs == ()
 
 
 def test_what_is_closed_can_only_be_touched(package: Package) -> None:

@@ -366,6 +366,19 @@ def test_it_in_a_later_phase_is_what_was_launched_before():
     assert isinstance(found, Named) and found.target == named.active != found.active
 
 
+@pytest.mark.parametrize("speed", ["at 2 m/s", "at 2 metres per second", "with 5 km/h", "1.5m/s"])
+def test_a_speed_is_named_as_what_is_refused(speed: str):
+    refused = understood(f"throw the ball {speed} to the left")
+    assert isinstance(refused, Refusal) and refused.reason == "amount" and "is a speed" in refused.message
+
+
+def test_a_line_break_parts_two_launches_and_no_phrase():
+    two = understood("push the cup 20 cm to the left\nthrow the ball")
+    assert isinstance(two, tuple) and [r.active for r in two] == ["cup", "ball"]
+    text = "push the red mug\nto the left"
+    assert understood(text) == replace(MUG_LEFT, text=text)
+
+
 def answer(text: str) -> Named | Refusal:
     """What a goal means for the table of the tests."""
     found = understand(text)

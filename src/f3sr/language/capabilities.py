@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.language.feasibility import can_be_pushed
+from f3sr.language.feasibility import can_be_pushed, is_too_large
 from f3sr.language.reference_resolution import names
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import Scene
@@ -40,7 +40,7 @@ def menu(scene: Scene) -> tuple[Entry, ...]:
 
 def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
     scene, sides = layout.scene, np.ptp(layout.span(id), axis=0)
-    if scene[id].mobility == "fixed":
+    if scene[id].mobility == "fixed" or is_too_large(id, layout):
         return ()
     around = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0, np.pi, 8, endpoint=False)]
     possible = {

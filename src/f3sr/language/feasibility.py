@@ -19,11 +19,15 @@ FITS = 1.15
 
 HARDEST = 0.95
 """Share of the largest force that may go into friction: the rest brings the object to its pace."""
+LARGEST = 14.0
+"""Size [m] of an object that moves: it is to go up to 7 of its sizes, and ways in plans are at most 100 m."""
 
 
 def check_possible(r: Request, active: int, target: int | None, layout: SceneLayout) -> None:
     """Raises NotUnderstoodError where no launch can do what a request asks. Physics decides the rest."""
     scene = layout.scene
+    if is_too_large(active, layout):
+        _refuse(f"{_name(active, scene)} is {layout.size(active):.0f} m large; accepted: at most {LARGEST:.0f} m")
     if r.kind == "topple" and layout.is_ball(active):
         _refuse(f"{_name(active, scene)} is round and cannot topple; accepted: 'roll ...'")
     if r.kind in ("slide", "push_into") and not can_be_pushed(active, layout):
@@ -36,6 +40,11 @@ def check_possible(r: Request, active: int, target: int | None, layout: SceneLay
         first = _name(load[0], scene)
         message = f"{_name(active, scene)} carries {first} and cannot be lifted alone; accepted: to lift {first}"
         _refuse(message, names(scene)[load[0]])
+
+
+def is_too_large(active: int, layout: SceneLayout) -> bool:
+    """Whether plans have no way for an object of this size."""
+    return layout.size(active) > LARGEST
 
 
 def can_be_pushed(active: int, layout: SceneLayout) -> bool:

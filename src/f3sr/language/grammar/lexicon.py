@@ -106,6 +106,7 @@ class Lexicon(BaseModel):
     amount_leads: Patterns
     amount_ends: Words
     other_units: Patterns
+    times: Patterns
     vague: dict[Vague, Patterns]
     manner: dict[Manner, Patterns]
     # directions.toml

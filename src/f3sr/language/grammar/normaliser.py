@@ -22,6 +22,7 @@ FRACTIONS = re.compile("(?=[\u00bc-\u00be\u2150-\u215e])")
 TYPED: tuple[tuple[str, str], ...] = (
     ("\u2044", "/"),
     ("%", " percent "),
+    (r"(\d\s*[^\W\d_]+)/(?=(?:s|h|min|sec|hour|second)\b)", r"\1 per "),
     ("°", " degrees "),
     (r"[.!?;:\n](?=\s+\S*[^\W_])", " and then "),
     ("['\u2018\u2019\u02bc`]", ""),

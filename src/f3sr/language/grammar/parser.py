@@ -64,8 +64,8 @@ def _in_order(text: str) -> str:
 
 
 def _with_joints(text: str) -> str:
-    """``do A, do B`` as ``do A then do B``."""
-    verb = re.compile(r",\s+(?=([a-z]+)\b)", re.IGNORECASE)
+    """``do A, do B`` as ``do A then do B``; lines part as commas do."""
+    verb = re.compile(r"(?:,\s+|\s*\n\s*)(?=([a-z]+)\b)", re.IGNORECASE)
     return verb.sub(lambda m: " then " if m[1].lower() in lexicon().forms else m[0], text)
 
 

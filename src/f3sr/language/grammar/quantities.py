@@ -42,11 +42,15 @@ class Patterns(NamedTuple):
     """A unit without a number."""
     wrong: re.Pattern[str]
     """A number of something else."""
+    speed: re.Pattern[str]
+    """A length in a time."""
 
 
 def amount_in(words: str) -> tuple[str, Amount | Vague | None]:
     """The words with ``|`` where the amount was, and the amount. Raises NotUnderstoodError where the amount is out
     of range or no length, and where there are two."""
+    if speed := _patterns().speed.search(words):
+        refuse("amount", f"{quoted(speed[0])} is a speed; accepted: a distance, as '20 cm', and 'gently' or 'hard'")
     found: list[Amount | Vague] = []
     for pattern in _patterns()[:2]:
         found += [_amount(match) for match in pattern.finditer(words)]
@@ -98,7 +102,8 @@ def _patterns() -> Patterns:
         rf"|\bby (?:an? |its |the )?(?:own )?(?P<own>{own})\b"
     )
     wrong = rf"\b(?:minus )?{number} (?:{'|'.join(table.other_units)})\b|\b(?:by|minus) (?:minus )?{number}\b(?: \w+)?"
-    return Patterns(re.compile(amount), re.compile(one), re.compile(wrong))
+    speed = rf"\b{number} {metres} (?:per|an?) (?:{'|'.join(table.times)})\b"
+    return Patterns(*map(re.compile, (amount, one, wrong, speed)))
 
 
 def _any(words: Collection[str]) -> str:
