@@ -158,6 +158,15 @@ def test_a_job_hands_the_choice_of_models_to_its_back_ends(tmp_path: Path, monke
     assert replace(job, allow_downloads=False).key == job.key
 
 
+@pytest.mark.parametrize(("inputs", "dataset"), [("in", "in/out"), ("out/in", "out"), ("in", "in")])
+def test_a_dataset_is_no_folder_of_its_inputs(tmp_path: Path, inputs: str, dataset: str) -> None:
+    write_stubs(tmp_path / inputs, 2)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(OutputError, match="may not hold one another"):
+        batch(tmp_path / inputs, tmp_path / dataset)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_what_cannot_be_read_has_a_digest_that_changes_where_it_is_mended(tmp_path: Path) -> None:
     absent = inputs_digest(tmp_path / "in")
     (tmp_path / "in").mkdir()

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from f3sr.cli.main import main
-from f3sr.dataset.columns import COLUMNS
+from f3sr.dataset.columns import COLUMNS, Kind
 from f3sr.dataset.index import read_index, write_index
 from f3sr.dataset.layout import INDEX, STALE, UNFINISHED, Dataset, failure_of, scene_of
 from f3sr.dataset.prune import prune
@@ -154,6 +154,16 @@ def test_a_condition_selects_as_python_would(dataset: Dataset, text: str) -> Non
     rows = selected(dataset, []).to_pylist()
     expected = [row["name"] for row in rows if CASES[text](row)]
     assert [job.name for job in scenes_with(dataset, [text])] == expected and 0 < len(expected) <= 12
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "has"), [("label = 'apple'", "scene", "object"), ("IoU > .5 and n = 2", "object", "scene")]
+)
+def test_a_column_of_other_rows_is_refused_with_the_kind_that_has_it(text: str, kind: Kind, has: str) -> None:
+    from f3sr.dataset.where import condition
+
+    with pytest.raises(InputError, match=f"which rows of {kind}s do not have.*; or --of {has}"):
+        condition(text, kind)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from f3sr.batch.manifest import jobs_of
 from f3sr.batch.ray_executor import ray_tasks
 from f3sr.batch.supervisor import JobLimits
 from f3sr.dataset.layout import Dataset
+from f3sr.errors import OutputError
 from f3sr.pipeline_config import Config
 
 WORK = "f3sr.batch.scene_job"
@@ -46,6 +48,8 @@ def run_batch(
     ``common`` has what all jobs share. ``begun`` is called with the number of jobs before the first. Raises InputError
     for a manifest that is not valid, OutputError where ``out`` cannot be a dataset or another run writes it.
     """
+    if _hold_one_another(inputs, out):
+        raise OutputError(f"{out}: the dataset and the folder {inputs} of inputs may not hold one another")
     count, jobs = jobs_of(inputs, common, config)
     dataset = Dataset.made(out)
     with dataset.storage.claimed():
@@ -63,6 +67,14 @@ def run_batch(
             tally = driver.run(jobs)
         driver.index()
     return tally
+
+
+def _hold_one_another(inputs: Path, out: str | Path) -> bool:
+    """Whether a local dataset would be one of the folders of inputs, or hold them."""
+    if "://" in str(out) or not inputs.is_dir():
+        return False
+    source, place = (Path(os.path.realpath(path)) for path in (inputs, out))
+    return place.is_relative_to(source) or source.is_relative_to(place)
 
 
 @contextmanager

@@ -19,7 +19,7 @@ def selected(dataset: Dataset, where: Sequence[str], kind: Kind = "scene") -> An
     """The rows of a kind that meet every condition, as an Arrow table in order of names."""
     wanted = arrow("pyarrow.compute").field("kind") == kind
     for text in where:
-        wanted = wanted & condition(text)
+        wanted = wanted & condition(text, kind)
     acero = arrow("pyarrow.acero")
     plan = [
         acero.Declaration("table_source", acero.TableSourceNodeOptions(read_index(dataset))),

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from f3sr.dataset.columns import COLUMNS, Type
+from f3sr.dataset.columns import COLUMNS, Column, Kind, Type
 from f3sr.dataset.index import arrow
 from f3sr.errors import InputError
 
@@ -30,19 +30,20 @@ COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq, "==": operator.eq, "!=": operator.ne,
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
 }  # fmt: skip
-TYPES: Mapping[str, Type] = {column.name: column.type for column in COLUMNS}
+BY_NAME: Mapping[str, Column] = {column.name: column for column in COLUMNS}
 
 
-def condition(text: str, where: str = "--where") -> Any:
-    """The Arrow expression of a condition. Raises InputError naming what is wrong and what is accepted."""
+def condition(text: str, kind: Kind = "scene", where: str = "--where") -> Any:
+    """The Arrow expression of a condition on rows of a kind. Raises InputError naming what is wrong and what is
+    accepted."""
     if len(text) > LONGEST:
         raise InputError(where, found=f"{len(text)} characters", accepted=f"at most {LONGEST}")
-    return _ConditionReader(text, where).whole()
+    return _ConditionReader(text, kind, where).whole()
 
 
 class _ConditionReader:
-    def __init__(self, text: str, where: str) -> None:
-        self.text, self.where, self.at = text, where, 0
+    def __init__(self, text: str, kind: Kind, where: str) -> None:
+        self.text, self.kind, self.where, self.at = text, kind, where, 0
         self.tokens, self.depth = self._split(), 0
         self.pc: Any = arrow("pyarrow.compute")
 
@@ -93,7 +94,7 @@ class _ConditionReader:
 
     def _test(self) -> Any:
         name = self._column()
-        field, type_ = self.pc.field(name), TYPES[name]
+        field, type_ = self.pc.field(name), BY_NAME[name].type
         if self._took("is"):
             negated = self._took("not")
             self._need("null")
@@ -115,9 +116,13 @@ class _ConditionReader:
 
     def _column(self) -> str:
         kind, name = self._next("a column")
-        if kind != "name" or name not in TYPES:
+        own = [column.name for column in COLUMNS if self.kind in column.of]
+        if kind != "name" or name not in BY_NAME:
             self.at -= 1
-            raise self._wrong(f"a column: {', '.join(TYPES)}")
+            raise self._wrong(f"a column: {', '.join(own)}")
+        if self.kind not in (of := BY_NAME[name].of):
+            found = f"the column {name}, which rows of {self.kind}s do not have"
+            raise InputError(self.where, found=found, accepted=f"{', '.join(own)}; or --of {of[0]}")
         return name
 
     def _value(self, type_: Type) -> Any:
