@@ -580,3 +580,9 @@ def test_a_list_that_is_missing_is_exit_code_2(package: Package, tmp_path: Path,
     assert main(["edit", str(package.folder), "--edits", str(tmp_path / "no.json"), "-o", str(out)]) == 2
     assert "no.json" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_without_any_edit_there_is_nothing_to_do(package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["edit", str(package.folder), "-o", str(tmp_path / "out")]) == 2
+    assert "--edits: found none, and none in the package" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -517,7 +517,7 @@ def test_what_only_looks_like_an_export_stays(index: str, package: Package, tmp_
 
 
 def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="--format: found fbx; accepted: glb, mjcf, robosuite, sdf, urdf, usd"):
+    with pytest.raises(InputError, match="formats: found fbx; accepted: glb, mjcf, robosuite, sdf, urdf, usd"):
         exporters_of(["urdf", "fbx"])
     with pytest.raises(InputError, match="found none"):
         exporters_of([])

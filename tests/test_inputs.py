@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 import broken_inputs
 import forked
@@ -288,6 +289,24 @@ def test_odd_inputs_are_accepted_and_what_matters_is_said(folder: Path, case: st
     for a, b in zip(given.instances, plain.instances, strict=True):
         assert np.array_equal(a.mask, b.mask)
         assert given.assets[a.id].mesh.diagonal == pytest.approx(plain.assets[a.id].mesh.diagonal, rel=0.2)
+
+
+def test_a_shaded_cut_out_as_a_mask_is_a_fallback_and_soft_borders_are_none(folder: Path):
+    mask = np.asarray(Image.open(folder / "masks" / BIG)) > 0
+    shades = np.linspace(40, 250, WIDTH)[None].repeat(HEIGHT, 0)
+    Image.fromarray(np.where(mask, shades, 0).astype(np.uint8)).save(folder / "masks" / BIG)
+    (told,) = (d for d in inputs.read(folder).decisions if d.fallback)
+    assert BIG in told.choice and "as in a cut-out of the photo" in told.reason
+    Image.fromarray(gaussian_filter(255.0 * mask, 1.0).astype(np.uint8)).save(folder / "masks" / BIG)
+    assert not [d for d in inputs.read(folder).decisions if d.fallback]
+
+
+def test_masks_of_a_photo_that_exif_turns_are_told_so(folder: Path):
+    turned_photo(folder)
+    mask = np.asarray(Image.open(folder / "masks" / BIG)).T
+    Image.fromarray(mask).save(folder / "masks" / BIG)
+    with pytest.raises(InputError, match=f"{WIDTH}x{HEIGHT}: a photo is turned as its EXIF says"):
+        inputs.read(folder)
 
 
 # --- wrong inputs -----------------------------------------------------------------------------------------------------

@@ -437,6 +437,18 @@ def said(inputs: Inputs, text: str) -> bool:
     return any(text in d.choice or text in d.reason for d in inputs.decisions)
 
 
+def test_a_material_that_would_change_nothing_is_refused(folder: Path):
+    def give(**material: Any) -> None:
+        (folder / "materials.json").write_text(json.dumps({"objects": [{"id": 2, **material}]}))
+
+    give(material="stel")
+    with pytest.raises(InputError, match=r"object 2 of the material 'stel'; accepted: wood, .*, a label"):
+        read_inputs(folder)
+    for known in ({"material": "steel"}, {"material": "wooden spoon"}, {"material": "moon rock", "density": 3300.0}):
+        give(**known)
+        assert read_inputs(folder).properties[2].material == known["material"]
+
+
 def longest(inputs: Inputs, id: int) -> float:
     asset = inputs.assets[id]
     return float(box_sides(asset.scale * asset.mesh.vertices)[0])

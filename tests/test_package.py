@@ -742,6 +742,11 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "NaN"),
     "twice an id": (lambda t: t["objects"][1].update(id=0), "unique"),
     "unknown support": (lambda t: t["objects"][1].update(supported_by=7), "7"),
+    "support by itself": (lambda t: t["objects"][1].update(supported_by=t["objects"][1]["id"]), "without circles"),
+    "supports in a circle": (
+        lambda t: [t["objects"][k].update(supported_by=t["objects"][1 - k]["id"]) for k in (0, 1)],
+        "by itself, directly",
+    ),
     "mask twice": (lambda t: t["excluded"].append({"mask": t["objects"][0]["mask"], "reason": ""}), "twice"),
     "no objects": (nobody, "objects = .*at least 1 item"),
     "an id of 2^31": (last_id(2**31), "objects.2.id = 2147483648; accepted: less than or equal to 2147483647"),

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.io.assets import PosedAsset, require_size
+from f3sr.io.given_properties import MATERIALS
 from f3sr.io.inputs import Fillers, Inputs
 from f3sr.io.photo_hints import PhotoHints
+from f3sr.language.grammar.materials import material_of, materials
 from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR, SAVED
 from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
@@ -61,10 +64,20 @@ def read_inputs(
         hints=hints,
         placer=MaskPlacer(),
     )
+    _require_known_materials(Path(folder) / MATERIALS, given)
     hints = hints or PhotoHints()
     if not given.geometry.guessed_unit and not hints.known:
         return given
     return _in_metres(given, hints)
+
+
+def _require_known_materials(file: Path, given: Inputs) -> None:
+    """Raises InputError for a material without a density that no word of the table names: it would change nothing."""
+    for id, properties in given.properties.items():
+        if properties.material and properties.density is None and not material_of(properties.material):
+            names = ", ".join(s.name for s in materials().substances)
+            accepted = f"{names}, a label such as 'tennis ball', or any name beside a density"
+            raise InputError(file, found=f"object {id} of the material {properties.material!r:.60}", accepted=accepted)
 
 
 def _in_metres(given: Inputs, hints: PhotoHints) -> Inputs:

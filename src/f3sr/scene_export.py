@@ -73,12 +73,13 @@ def _folder(exporter: Backend[Exporter]) -> str:
     return folder
 
 
-def exporters_of(formats: Sequence[str]) -> list[Backend[Exporter]]:
-    """The exporters of some names, in alphabetical order. Raises InputError or F3srError where one cannot be used."""
+def exporters_of(formats: Sequence[str], *, option: str = "formats") -> list[Backend[Exporter]]:
+    """The exporters of some names, in alphabetical order. Raises InputError, which names the ``option``, or F3srError
+    where one cannot be used."""
     require_names("formats", formats)
     if not formats:
-        raise InputError("--format", found="none", accepted=", ".join(EXPORTERS.names()))
-    require_known("--format", formats, EXPORTERS.names())
+        raise InputError(option, found="none", accepted=", ".join(EXPORTERS.names()))
+    require_known(option, formats, EXPORTERS.names())
     found = [EXPORTERS.find(name) for name in sorted(set(formats))]
     for exporter in found:
         for need in getattr(exporter.made, "needs", list[Any])():

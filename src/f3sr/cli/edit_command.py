@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from f3sr.cli.arguments import MaybeFile, Out, PackageFolder
+from f3sr.errors import InputError
 
 
 def edit(
@@ -42,6 +43,8 @@ def edit(
         session = EditSession.open(package, config=chosen, progress=progress)
         for one in given:
             session.add(one, progress=progress)
+        if len(session.outcomes) == 1:
+            raise InputError("--edits", found="none, and none in the package", accepted="a list of at least one edit")
         written = write_edited(session, out, overwrite=overwrite, progress=progress)
     before, now = session.outcomes[0].measures.as_dict(), session.outcome.measures.as_dict()
     columns = {"before": before, "edited": now}

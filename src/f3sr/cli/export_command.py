@@ -33,7 +33,7 @@ def export(
 
     recover(*(place for place in (package, out) if place))
     formats = names_in(format)
-    exporters_of(formats)
+    exporters_of(formats, option="--format")
     place = prepare_export(out or beside(package), overwrite=overwrite)
     content = read_package(package)
     with console.steps_shown(quiet=json) as progress:

@@ -122,7 +122,7 @@ def reconstruct(
     require_known("--skip", names_in(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
     if formats := names_in(export):
-        scene_export.exporters_of(formats)
+        scene_export.exporters_of(formats, option="--export")
         scene_export.prepare_export(scene_export.beside(out), overwrite=overwrite)
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)

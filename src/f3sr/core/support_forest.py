@@ -25,3 +25,8 @@ def carried(id: int, supports: Supports) -> frozenset[int]:
 def supports_first(supports: Supports) -> list[int]:
     """All ids, each after those below it."""
     return sorted(supports, key=lambda id: (len(chain_below(id, supports)), id))
+
+
+def circle_of(supports: Supports) -> int | None:
+    """The first id that carries itself, directly or not; None where none does."""
+    return next((id for id in sorted(supports) if supports.get((chain_below(id, supports) or (id,))[-1]) == id), None)

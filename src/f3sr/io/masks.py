@@ -20,6 +20,10 @@ MAX_OVERLAP = 0.05
 opinions on an object. Shared pixels go to the smaller mask."""
 MOST_OVERLAP = 0.5
 """Largest share that a user may allow: then it is one object twice."""
+BORDER = 4
+"""Width of a soft border of a mask [px]."""
+DARK, SHADED = 0.75, 0.05
+"""Of the brightest level, what is darker; and the share of pixels inside from which on a mask is a shaded picture."""
 MAX_ID_DIGITS = 8
 """Longer numbers are hashes or dates, not ids."""
 MIN_PIXELS = 16
@@ -61,13 +65,16 @@ def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bo
     gray = _levels(folder, path)
     if gray.shape != (photo.height, photo.width):
         size = f"{gray.shape[1]}x{gray.shape[0]} pixels"
-        raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}")
+        turned = ": a photo is turned as its EXIF says" if gray.shape == (photo.width, photo.height) else ""
+        raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}{turned}")
     levels = np.unique(gray)
     threshold = 0
     if len(levels) > 2 or (len(levels) == 2 and levels[0] > 0):
         threshold = (int(levels.max()) + (int(levels.min()) if len(levels) == 2 else 0)) // 2
         found = "two grey levels, neither of them 0" if len(levels) == 2 else f"{len(levels)} grey levels, not two"
-        folder.decide(f"{path.name}: pixels above {threshold} belong to the mask", found)
+        shaded = len(levels) > 2 and _is_shaded(gray)
+        found += ", also inside it, as in a cut-out of the photo: dark parts may lack" if shaded else ""
+        folder.decide(f"{path.name}: pixels above {threshold} belong to the mask", found, fallback=shaded)
     mask = gray > threshold
     if mask.sum() < MIN_PIXELS:
         raise InputError(
@@ -76,6 +83,14 @@ def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bo
             accepted=f"a mask of at least {MIN_PIXELS} pixels",
         )
     return mask
+
+
+def _is_shaded(gray: NDArray[Any]) -> bool:
+    """Whether a picture has dark pixels inside what it shows, and not only at its soft borders."""
+    from scipy.ndimage import binary_erosion
+
+    inside = binary_erosion(gray > 0, iterations=BORDER)
+    return bool(inside.any() and (gray[inside] < DARK * gray.max()).mean() > SHADED)
 
 
 def _levels(folder: InputFolder, path: Path) -> NDArray[Any]:

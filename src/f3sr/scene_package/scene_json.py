@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from f3sr.core.pose_uncertainty import PoseUncertainty
+from f3sr.core.support_forest import circle_of
 from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
 from f3sr.exporters.collision_parts import collision_path
@@ -324,6 +325,11 @@ class SceneDocument(_SceneRecord):
             raise ValueError(f"direct composition of other objects; accepted: of {ids}")
         if unknown := sorted(named - {GROUND, *ids}):
             raise ValueError(f"references to ids {unknown}; accepted: {ids}")
+        circle = circle_of({o.id: o.supported_by for o in self.objects if o.supported_by != GROUND})
+        if circle is not None:
+            raise ValueError(
+                f"object {circle} supported by itself, directly or not; accepted: supports without circles"
+            )
         return self
 
 
