@@ -291,6 +291,20 @@ def test_odd_inputs_are_accepted_and_what_matters_is_said(folder: Path, case: st
         assert given.assets[a.id].mesh.diagonal == pytest.approx(plain.assets[a.id].mesh.diagonal, rel=0.2)
 
 
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        ({"intrinsics": lambda K: K * [[1.02], [1.02], [1]]}, False),
+        ({"intrinsics": lambda K: K * [[1.15], [1.15], [1]]}, True),
+        ({"points": lambda p: np.ones_like(p)}, True),
+    ],
+)
+def test_points_off_the_rays_of_their_pixels_are_a_fallback(folder: Path, spoil: dict[str, Any], told: bool):
+    broken_inputs.geometry(**spoil)(folder)
+    fallbacks = [d for d in inputs.read(folder).decisions if d.fallback]
+    assert any("contradict" in d.choice and "degrees off the rays" in d.reason for d in fallbacks) is told
+
+
 def test_a_shaded_cut_out_as_a_mask_is_a_fallback_and_soft_borders_are_none(folder: Path):
     mask = np.asarray(Image.open(folder / "masks" / BIG)) > 0
     shades = np.linspace(40, 250, WIDTH)[None].repeat(HEIGHT, 0)

@@ -20,7 +20,9 @@ from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.vision.image_supports import below
 
-UNITS: Mapping[float, str] = {0.01: "centimetres", 0.001: "millimetres", 100.0: "hundreds", 1000.0: "thousands"}
+LARGER: Mapping[float, str] = {100.0: "hundreds", 1000.0: "thousands"}
+"""Units of places that are larger than the geometry's: it may be in centimetres or millimetres, and not in metres."""
+UNITS: Mapping[float, str] = {0.01: "centimetres", 0.001: "millimetres", **LARGER}
 """Units of places other than the geometry's, in its own."""
 WITHIN = 2.0
 """Largest factor between depths of poses and of the geometry that is no other unit, and from one of UNITS."""
@@ -32,7 +34,8 @@ def placed_by_reading(view: MaskedPhoto, meshes: Mapping[int, Mesh], places: Can
         factor, reason = _onto_the_ground(view, meshes, places, k)
     else:
         factor, reason = _to_measured_depths(view, meshes, places, k)
-    decisions = [Decision(choice=f"assets: all places and sizes times {factor:.4g}", reason=reason)] if reason else []
+    choice = f"assets: all places and sizes times {factor:.4g}"
+    decisions = [Decision(choice=choice, reason=reason, fallback=factor in LARGER)] if reason else []
     assets = {id: _asset(meshes[id], places, k, v, factor) for v, id in enumerate(places.ids)}
     return PlacedMeshes(assets=assets, decisions=tuple(decisions))
 
@@ -64,7 +67,8 @@ def _to_measured_depths(
     unit = next((u for u in UNITS if 1 / WITHIN <= ratio / u <= WITHIN), 1.0)
     if unit == 1.0 or 1 / WITHIN <= ratio <= WITHIN:
         return 1.0, ""
-    return unit, f"in {UNITS[unit]} they agree with the geometry's depths"
+    doubt = "; geometry is read in metres: is it in a smaller unit?" if unit in LARGER else ""
+    return unit, f"in {UNITS[unit]} they agree with the geometry's depths{doubt}"
 
 
 def _onto_the_ground(

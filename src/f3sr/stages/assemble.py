@@ -183,7 +183,8 @@ def _agree_with_geometry(
     k = 1 / ratio
     reason = f"the asset's depth is {ratio:.2f} times the geometry's"
     moved = o.moved(camera.homothety(k), scale=k, stage="assemble", reason=reason)
-    return moved, (Decision(choice=f"moved along its viewing rays by {k:.3f}", reason=reason, about=o.id),)
+    choice = f"moved along its viewing rays by {k:.3f}"
+    return moved, (Decision(choice=choice, reason=reason, about=o.id, fallback=True),)
 
 
 def _check_place(o: SceneObject, camera: Camera) -> Decision | None:

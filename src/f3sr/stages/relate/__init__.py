@@ -179,7 +179,8 @@ def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
 def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> Decision:
     """What an object rests on and why."""
     if unseen:
-        return Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)
+        choice = "rests on something unseen, kept fixed where it is"
+        return Decision(choice=choice, reason=unseen, about=o.id, fallback=True)
     further = _named(o.supports[1:])
     choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
     if _overruled(chosen, found):
