@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -42,7 +42,7 @@ class ImportedFolder:
         self.claim.write(name, data)
         self.files[name] = hashlib.sha256(data).hexdigest()
 
-    def end(self, note: dict[str, object]) -> None:
+    def end(self, note: Mapping[str, object]) -> None:
         """Write the note, and put the folder into its place."""
         self.claim.write(NOTE, as_json({**note, "files": self.files}))
         self.claim.replace()

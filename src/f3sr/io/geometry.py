@@ -97,18 +97,18 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     to_camera = camera_frame(path, str(data.get("coordinate_system", "opencv")))
     valid = data.get("mask", np.ones(points.shape[:2], bool)) > 0
     geometry = estimated(folder, path, points, valid, data.get("normal"), to_camera)
-    intrinsics = data.get("intrinsics")
-    if intrinsics is None:
-        K = checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
-        folder.decide(
-            f"camera: focal length {K[0, 0]:.1f} px fitted to the points",
-            "no intrinsics in geometry.npz",
-            fallback=True,
-        )
+    if "intrinsics" in data:
+        shares = data["intrinsics"].astype(float)
+        K = checked_K(path, _scaled(shares, photo.width, photo.height), photo)
+        _tell_disagreement(folder, geometry, _scaled(shares, *geometry.valid.shape[::-1]))
         return geometry, K
-    K = checked_K(path, _scaled(intrinsics.astype(float), photo.width, photo.height), photo)
-    _tell_disagreement(folder, geometry, _scaled(intrinsics.astype(float), *geometry.valid.shape[::-1]))
-    return geometry, K
+    fitted = checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
+    folder.decide(
+        f"camera: focal length {fitted[0, 0]:.1f} px fitted to the points",
+        "no intrinsics in geometry.npz",
+        fallback=True,
+    )
+    return geometry, fitted
 
 
 def _tell_disagreement(folder: InputFolder, geometry: Geometry, K: Array) -> None:

@@ -89,7 +89,7 @@ def _is_shaded(gray: NDArray[Any]) -> bool:
     """Whether a picture has dark pixels inside what it shows, and not only at its soft borders."""
     from scipy.ndimage import binary_erosion
 
-    inside = binary_erosion(gray > 0, iterations=BORDER)
+    inside: NDArray[np.bool_] = np.asarray(binary_erosion(gray > 0, iterations=BORDER), bool)
     return bool(inside.any() and (gray[inside] < DARK * gray.max()).mean() > SHADED)
 
 
