@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,6 +201,16 @@ def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_i
     expected, outcome = level(exact)
     assert not outcome.report.fallbacks
     assert np.allclose([o.bounds_world[:, 2] for o in levelled], [o.bounds_world[:, 2] for o in expected], atol=1e-4)
+
+
+def test_a_ground_that_is_not_flat_is_a_fallback(exact: Scene):
+    assert exact.geometry is not None and exact.ground_mask is not None
+    assert not any(d.fallback for d in level(exact)[1].decisions)
+    points = exact.geometry.points.copy()
+    points[::2] *= 1.2  # half of the rows lie on another plane
+    _, told = level(replace(exact, geometry=replace(exact.geometry, points=points)))
+    (decision,) = (d for d in told.decisions if d.choice.startswith("ground plane from"))
+    assert decision.fallback and re.match(r"5\d % of \d+ points lie on it", decision.reason)
 
 
 def test_without_any_ground_the_lowest_vertex_is_the_ground(exact: Scene):
