@@ -232,7 +232,7 @@ def embedded(folder: Path) -> None:
 ODD: dict[str, tuple[Spoil, str | None]] = {
     "a 16-bit photo": (picture("image.png", gray16), None),
     "a photo with alpha": (picture("image.png", transparent), None),
-    "a photo turned by EXIF": (turned_photo, None),
+    "a photo turned by EXIF": (turned_photo, "has the orientation 6"),
     "a palette photo": (palette("image.png"), None),
     "a JPEG called image.png": (broken_inputs.saved_as("image.png", "JPEG"), None),
     "a CMYK photo": (lambda f: Image.new("CMYK", (WIDTH, HEIGHT)).save(f / "image.png", "JPEG"), None),

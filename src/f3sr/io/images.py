@@ -9,7 +9,7 @@ from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from f3sr.errors import InputError
 from f3sr.files.limited_file import opened
@@ -38,6 +38,16 @@ def open_image(path: Path) -> Image.Image:
             return decode_image(file, ("PNG", "JPEG"))
     except ValueError as error:
         raise InputError(path, found=f"no readable image: {error}", accepted=ACCEPTED) from error
+
+
+def exif_orientation(path: Path) -> int:
+    """By which EXIF tells how a readable photo is turned and mirrored: 1 where it is upright, or nothing is told."""
+    with opened(path) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return int(Image.open(file, formats=("PNG", "JPEG")).getexif().get(ExifTags.Base.Orientation, 1))
+        except Exception:  # PIL raises many kinds for broken tags, and turns no such photo
+            return 1
 
 
 def decode_image(file: IO[bytes], formats: tuple[str, ...], *, size_only: bool = False) -> Image.Image:

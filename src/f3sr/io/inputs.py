@@ -49,7 +49,7 @@ from f3sr.io.geometry import (
 )
 from f3sr.io.given_meshes import MeshPlacer
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
-from f3sr.io.images import as_rgb, open_image
+from f3sr.io.images import as_rgb, exif_orientation, open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances, read_mask
 from f3sr.io.photo_hints import PhotoHints
@@ -366,7 +366,11 @@ def _photo(folder: InputFolder) -> tuple[Photo, KnownFocal | str | None]:
     if len(names) != 1:
         found = ", ".join(names) or "no image"
         raise InputError(folder.root, found=found, accepted="one image.png, image.jpg or image.jpeg")
-    image = open_image(folder.file(names[0]))
+    file = folder.file(names[0])
+    image = open_image(file)
+    if (turned := exif_orientation(file)) in range(2, 9):
+        choice = "photo: turned as its EXIF says; masks and geometry are those of the turned photo"
+        folder.decide(choice, f"{names[0]} has the orientation {turned}")
     try:
         told = focal_by_exif(image)
     except ExifError as error:
