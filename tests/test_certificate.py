@@ -26,6 +26,7 @@ from f3sr.exporters.grown_hulls import SHARPEST, grown
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.physics.mujoco_model import body_of
 from f3sr.physics.settling import settle
+from f3sr.proxies.hulls import beyond, planes
 from f3sr.scene_package.package import Package, read_package, write_package
 from labelled_boxes import labelled_boxes
 from scenes import box, box_stack_scene, scene_of
@@ -128,6 +129,17 @@ def test_a_grown_box_is_the_box_with_every_face_further_out() -> None:
     bigger = grown(part, 0.001)
     assert np.allclose(np.ptp(bigger.vertices, axis=0), np.ptp(part.vertices, axis=0) + 0.002, atol=1e-12)
     assert len(bigger.vertices) == len(part.vertices)
+
+
+@pytest.mark.parametrize("thick", [2e-6, 1e-5, 1.9e-5])
+def test_a_sheet_thinner_than_what_counts_as_one_flat_grows_to_both_sides(thick: float):
+    tilted = rotation_about((1, 2, 3), 0.7)[:3, :3]
+    around = np.array([[np.cos(a), np.sin(a), 0] for a in np.linspace(0, 6, 13)]) * 2.5e-3
+    part = ConvexPart.hull_of(np.concatenate([around, around + np.array([0, 0, thick])]) @ tilted.T)
+    bigger = grown(part, 1.6e-4)
+    assert len(bigger.vertices) <= len(part.vertices)
+    assert beyond(part.vertices, *planes(bigger)).max() < 1e-9
+    assert np.ptp(bigger.vertices @ tilted[:, 2]) == pytest.approx(thick + 3.2e-4, rel=1e-3)
 
 
 def test_grown_parts_hold_the_part_and_have_no_more_corners() -> None:

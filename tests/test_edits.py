@@ -464,6 +464,7 @@ HOSTILE = [
     ({"version": 1, "edits": [{"kind": "material", "id": 2, "label": "", "density": 1e9}]}, "25000"),
     ({"version": 1, "edits": [{"kind": "material", "id": 2, "label": "", "friction": -0.1}]}, "0"),
     ({"version": 1, "edits": [{"kind": "label", "id": 2, "label": "", "to": ""}]}, "edits.0.label.to"),
+    ({"version": 1, "edits": [{"kind": "label", "id": 2, "label": "", "to": "a\x1b[31m"}]}, "not printable"),
 ]
 
 

@@ -128,6 +128,15 @@ def test_a_photo_that_is_none_is_one_line(calls: Calls, tmp_path: Path, capsys: 
     assert [p.name for p in tmp_path.iterdir()] == ["x.jpg"]
 
 
+@pytest.mark.parametrize("option", [BOXES, ["--segmenter", "nosuch"], ["--ground-segmenter", "nosuch"]])
+def test_what_makes_masks_is_refused_for_a_folder_that_has_them(
+    option: list[str], calls: Calls, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["photo", str(tmp_path), *option]) == 2
+    told = capsys.readouterr().err
+    assert f"{option[0]}: found the folder" in told and "accepted: a photo" in told and not calls.reconstructed
+
+
 def test_a_folder_of_somebody_else_is_left_alone(photo: Path, calls: Calls, capsys: pytest.CaptureFixture[str]):
     theirs = photo.with_name("my table_input")
     theirs.mkdir()

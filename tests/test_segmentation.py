@@ -315,6 +315,13 @@ def coco(file: Path, *segmentations: object, **more: object) -> Path:
     return file
 
 
+def test_a_category_is_called_by_what_a_terminal_can_show(tmp_path: Path):
+    square = [[10, 20, 30, 20, 30, 50, 10, 50]]
+    file = coco(tmp_path / "a.json", square, categories=[{"id": 7, "name": "cu\x1b[31mp"}])
+    with pytest.raises(InputError, match="not printable"):
+        read_coco(file, painted())
+
+
 def test_coco_files(tmp_path: Path):
     mask = disc(50, 50, 20)
     rle = {"size": [H, W], "counts": compressed(encoded(mask))}
@@ -336,6 +343,7 @@ def test_coco_files(tmp_path: Path):
         {"size": [9, 9], "counts": [81]},
         {"size": [H, W], "counts": [H * W]},
         {"size": [10**9, 10**9], "counts": [10**18]},
+        {"size": [H, W], "counts": [10**30, 5]},
         {"size": [H, W], "counts": "not a code"},
         [[1, 2, 3, 4]],
         [[1, 2, 3, 4, 5, 6, 7]],

@@ -102,8 +102,8 @@ def photo(
     given = photo.is_dir()
     package = out or _beside(photo, SCENE)
     folder = photo if given else _beside(package, INPUT)
-    if given and (segment or ground_segmenter):
-        option = "--segment" if segment else "--ground-segmenter"
+    drawing = {"--segment": segment, "--ground-segmenter": ground_segmenter, "--box": box, "--segmenter": segmenter}
+    if given and (option := next((name for name, value in drawing.items() if value), None)):
         raise InputError(option, found=f"the folder {photo.name}, which has masks", accepted="a photo")
     if edits:
         read_edits(edits)  # before anything is drawn

@@ -15,13 +15,13 @@ from f3sr.files import strict_json
 from f3sr.files.bounds import (
     MAX_DENSITY,
     MAX_FRICTION,
-    MAX_LABEL,
     MAX_MASS,
     MIN_DENSITY,
     MIN_MASS,
     Id,
     IdOrGround,
     Label,
+    NewLabel,
 )
 from f3sr.scene_package.scene_json import Version
 
@@ -119,7 +119,7 @@ class LabelEdit(_EditRecord):
     """Call an object by another name."""
 
     kind: Literal["label"] = "label"
-    to: Annotated[str, Field(min_length=1, max_length=MAX_LABEL)]
+    to: Annotated[NewLabel, Field(min_length=1)]
 
 
 class DeleteEdit(_EditRecord):

@@ -34,9 +34,12 @@ def grown(part: ConvexPart, by: float, footing: Array = NO_FOOTING) -> ConvexPar
     exactly so far: engines see several faces in what is not quite plane. Flats become plane within ``BEHIND``, and none
     of them lies further out than ``by``: overlaps would kick. No corner moves further than ``SHARPEST`` times ``by``.
     Where edges are too sharp for that, facets stay behind, flats bend: of two that meet, the smaller one, unless it
-    lies in ``footing`` (4,), the plane n . x + d = 0 on which the body can stand.
+    lies in ``footing`` (4,), the plane n . x + d = 0 on which the body can stand. A sheet thinner than ``BEHIND`` grows
+    to both sides alone.
     """
     whole = ConvexPart.hull_of(_without_twins(part.vertices))
+    if sheet := _thicker(whole, by):
+        return sheet
     planes, touching = (np.array(each) for each in zip(*facets(whole, BEHIND * by), strict=True))
     off_footing = whole.vertices @ footing[:3] + footing[3] < -BEHIND * by
     first = np.argsort((touching & off_footing).any(1), kind="stable")
@@ -48,6 +51,17 @@ def grown(part: ConvexPart, by: float, footing: Array = NO_FOOTING) -> ConvexPar
         _move(planes[on, :3], wanted[on, corner], np.flatnonzero(flat[on])) for corner, on in enumerate(touching.T)
     ]
     return ConvexPart.hull_of(whole.vertices + by * np.array(moves))
+
+
+def _thicker(sheet: ConvexPart, by: float) -> ConvexPart | None:
+    """A sheet whose corners move ``by`` off its middle plane; None where both its sides are not one flat."""
+    off = sheet.vertices - sheet.vertices.mean(0)
+    normal = np.linalg.svd(off, full_matrices=False)[2][2]
+    height = off @ normal
+    if np.ptp(height) > BEHIND * by:
+        return None
+    middle = (height.max() + height.min()) / 2
+    return ConvexPart.hull_of(sheet.vertices + by * np.where(height > middle, 1.0, -1.0)[:, None] * normal)
 
 
 def _without_twins(corners: Array) -> Array:

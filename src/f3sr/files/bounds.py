@@ -102,6 +102,16 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Label = Annotated[str, Field(max_length=MAX_LABEL)]
 
 
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError(f"{text!r:.60}, with characters that are not printable")
+    return text
+
+
+NewLabel = Annotated[Label, AfterValidator(_printable)]
+"""Of a user: packages may hold others, as words of a photo's file names."""
+
+
 def intrinsics_fault(K: Array, width: int, height: int) -> str | None:
     """What is wrong with K (3, 3) in pixels of an image; None where nothing is."""
     longest = max(width, height)

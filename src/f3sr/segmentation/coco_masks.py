@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from f3sr.errors import InputError
 from f3sr.files import strict_json
-from f3sr.files.bounds import MAX_LABEL, MAX_OBJECTS
+from f3sr.files.bounds import MAX_OBJECTS, NewLabel
 from f3sr.io.masks import MIN_PIXELS
 from f3sr.scene import Photo
 from f3sr.segmentation.grid_cut import Mask
@@ -28,7 +28,7 @@ FAR = 1e6
 FINER = 4
 """Times that polygons are drawn finer than the photo: a pixel belongs to one that covers half of it."""
 
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, le=2**31)]
 Place = Annotated[float, Field(ge=-FAR, le=FAR, allow_inf_nan=False)]
 Polygon = Annotated[list[Place], Field(min_length=6, max_length=MAX_CODE)]
 
@@ -63,7 +63,7 @@ class _Category(BaseModel):
     model_config = ConfigDict(extra="ignore")
 
     id: int
-    name: Annotated[str, Field(max_length=MAX_LABEL)]
+    name: NewLabel
 
 
 class _CocoDocument(BaseModel):
