@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import pickle
 import re
 import warnings
@@ -25,7 +26,7 @@ from f3sr.env.resets import Randomization  # noqa: E402
 from f3sr.env.scene_env import RATE, SceneEnv  # noqa: E402
 from f3sr.env.scripted_grasp import grasp_of, pick  # noqa: E402
 from f3sr.errors import InputError  # noqa: E402
-from f3sr.goals.plan import Displaced  # noqa: E402
+from f3sr.goals.plan import Displaced, Height  # noqa: E402
 from f3sr.goals.verify import verify  # noqa: E402
 from f3sr.physics.mujoco_model import engine  # noqa: E402
 from f3sr.scene_package.package import Package, write_package  # noqa: E402
@@ -125,6 +126,23 @@ def test_an_object_pushed_by_hand_meets_its_goal(package: Package) -> None:
         if ended:
             break
     assert ended and reward == 1 and info["success"] and all(j.met for j in env.judged())
+
+
+@pytest.mark.parametrize("goal", ["drop the can", "lift and drop the can"])
+def test_what_is_to_be_dropped_has_to_be_lifted_first(package: Package, goal: str) -> None:
+    env = env_of(package, goal, gripper=False)
+    env.reset(seed=0)
+    for _ in range(10):
+        _, reward, ended, _, _ = env.step(np.zeros(6))
+        assert reward == 0 and not ended
+    assert env.task is not None and isinstance(env.task.conditions[0], Height)
+    up, still = np.array([0, 0, 0.5, 0, 0, 0]), np.zeros(6)
+    ended, most = False, math.ceil(RATE * (env.task.amount or 0) / 0.4)
+    for action in [up] * most + [0.3 * -up] * 4 * most + [still] * 3 * RATE:
+        _, reward, ended, _, _ = env.step(action)
+        if ended:
+            break
+    assert ended and reward == 1, [j.said for j in env.judged()]
 
 
 def test_a_scripted_grasp_lifts_and_holds_what_fits(package: Package) -> None:

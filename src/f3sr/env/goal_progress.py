@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.goals.conditions import Judged, judge
-from f3sr.goals.plan import Condition, Contact, TaskSpec
+from f3sr.goals.plan import Condition, Contact, Height, TaskSpec
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics.mujoco_model import MjData, MjModel
@@ -31,7 +31,15 @@ def task_of(scene: Scene, goal: str) -> TaskSpec:
         raise InputError("goal", found=f"{goal!r}: {planned.message}", accepted="a goal of `f3sr goals PACKAGE`")
     if not planned.last:
         raise InputError("goal", found=f"several phases in {goal!r}", accepted="one: each is an episode of its own")
-    return planned.readings[0]
+    task = planned.readings[0]
+    return task if task.kind not in ("drop", "lift_and_drop") else _lifted_first(task)
+
+
+def _lifted_first(task: TaskSpec) -> TaskSpec:
+    """The task with the release as a condition: a rollout begins above, an episode where the object lies."""
+    lifted = Height(a=task.active, at_least=task.amount or 0.0)
+    then = (c.model_copy(update={"after": 0 if c.after is None else c.after + 1}) for c in task.conditions)
+    return task.model_copy(update={"conditions": (lifted, *then)})
 
 
 @dataclass(eq=False, kw_only=True)

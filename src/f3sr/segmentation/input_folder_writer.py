@@ -105,7 +105,7 @@ def _require_objects(objects: Mapping[int, OutlinedObject]) -> None:
             raise InputError("objects", found=f"the id {id}", accepted=f"0 to {MAX_ID_DIGITS} digits")
         if (count := int(o.mask.sum())) < MIN_PIXELS:
             name = f"object {id}" + (f" ({o.label:.40})" if o.label else "")
-            raise InputError(name, found=f"a mask of {count} pixels", accepted=f"at least {MIN_PIXELS}")
+            raise InputError(name, found=f"{count} pixels that no other mask holds", accepted=f"at least {MIN_PIXELS}")
 
 
 def _require_own(out: Path) -> None:
