@@ -18,6 +18,7 @@ from f3sr.batch.supervisor import JobLimits
 from f3sr.dataset.layout import Dataset
 from f3sr.errors import OutputError
 from f3sr.pipeline_config import Config
+from f3sr.scene_package.package_folder import hold_one_another
 
 WORK = "f3sr.batch.scene_job"
 """What makes a scene of an input folder."""
@@ -48,7 +49,8 @@ def run_batch(
     ``common`` has what all jobs share. ``begun`` is called with the number of jobs before the first. Raises InputError
     for a manifest that is not valid, OutputError where ``out`` cannot be a dataset or another run writes it.
     """
-    if _hold_one_another(inputs, out):
+    is_local = "://" not in str(out) and inputs.is_dir()
+    if is_local and hold_one_another(*(Path(os.path.realpath(place)) for place in (inputs, out))):
         raise OutputError(f"{out}: the dataset and the folder {inputs} of inputs may not hold one another")
     count, jobs = jobs_of(inputs, common, config)
     dataset = Dataset.made(out)
@@ -67,14 +69,6 @@ def run_batch(
             tally = driver.run(jobs)
         driver.index()
     return tally
-
-
-def _hold_one_another(inputs: Path, out: str | Path) -> bool:
-    """Whether a local dataset would be one of the folders of inputs, or hold them."""
-    if "://" in str(out) or not inputs.is_dir():
-        return False
-    source, place = (Path(os.path.realpath(path)) for path in (inputs, out))
-    return place.is_relative_to(source) or source.is_relative_to(place)
 
 
 @contextmanager

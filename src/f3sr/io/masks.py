@@ -73,7 +73,7 @@ def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bo
         threshold = (int(levels.max()) + (int(levels.min()) if len(levels) == 2 else 0)) // 2
         found = "two grey levels, neither of them 0" if len(levels) == 2 else f"{len(levels)} grey levels, not two"
         shaded = len(levels) > 2 and _is_shaded(gray)
-        found += ", also inside it, as in a cut-out of the photo: dark parts may lack" if shaded else ""
+        found += ", also inside it, as in a cut-out of the photo: dark parts may be missing" if shaded else ""
         folder.decide(f"{path.name}: pixels above {threshold} belong to the mask", found, fallback=shaded)
     mask = gray > threshold
     if mask.sum() < MIN_PIXELS:

@@ -71,9 +71,14 @@ def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = F
     out = placed(out)
     if inputs is not None:
         source = Path(inputs).resolve()
-        if out.is_relative_to(source) or source.is_relative_to(out):
+        if hold_one_another(out, source):
             raise OutputError(f"{out}: the output and the input folder {source} may not hold one another")
     return atomic_folder.check(out, lambda out: require_replaceable(out, overwrite=overwrite, edits=edits))
+
+
+def hold_one_another(a: Path, b: Path) -> bool:
+    """Whether one of two full paths is the other, or lies in it."""
+    return a.is_relative_to(b) or b.is_relative_to(a)
 
 
 def _is_no_folder(path: Path) -> bool:
