@@ -86,3 +86,27 @@ def test_what_an_object_stands_on_does_not_hide_it():
     assert scene.geometry
     hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
     assert front.any() and not (hidden & front).any()
+
+
+def test_what_hides_an_object_is_found_anew_for_other_masks_cameras_and_geometries_and_never_for_another_pose():
+    wall = box(0, size=(0.3, 0.005, 0.1), at=(0, -0.1, 0.05))
+    brick = box(1, size=(0.05, 0.05, 0.14), at=(0.02, 0.02, 0.07))
+    scene = photographed(wall, brick)
+    brick, wall, geometry = scene[1], scene[0], scene.geometry
+    assert geometry
+
+    def hidden(brick: SceneObject = brick, wall: SceneObject = wall, geometry: Geometry = geometry, turn: float = 0):
+        T = np.diag([1.0, np.cos(turn), np.cos(turn), 1])
+        T[1, 2], T[2, 1] = -np.sin(turn), np.sin(turn)
+        return behind_the_photo(brick, [wall], geometry, scene.camera.moved(T))
+
+    first = hidden()
+    assert first.any()
+    first[:] = False  # the caller's own
+    again = hidden(brick.moved(np.eye(4) * [1.1, 1.1, 1.1, 1], scale=1.1, stage="test", reason=""))
+    assert again.any() and np.array_equal(again, hidden())
+    below = np.arange(len(wall.mask))[:, None] > np.flatnonzero(wall.mask.any(1))[[0, -1]].mean()
+    assert np.array_equal(hidden(wall=replace(wall, mask=wall.mask & below)), again & below)
+    flat = replace(geometry, points=geometry.points / geometry.points[..., 2:].clip(1e-3))
+    assert not hidden(geometry=flat).any()
+    assert not np.array_equal(hidden(turn=np.pi / 2), again)

@@ -15,11 +15,12 @@ import PIL.Image
 from PIL import ImageDraw, ImageFont
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.io.images import resized
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
 from f3sr.vision.pictures import PAPER, Image, side_camera, side_view
-from f3sr.vision.silhouette import Mask, resample, union_of
+from f3sr.vision.silhouette import Mask, union_of
 
 SCENES = ("dev_00_stack", "dev_09_pile")
 """A stack and a pile, all of whose objects are of the YCB set."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from f3sr.core import support_forest
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array, bounds_of, boxes_of, frozen, transform
 
 GROUND = -1
@@ -108,9 +109,7 @@ class Geometry:
     def inside(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Valid geometry pixels (h, w) whose centres fall into a photo-sized mask."""
         h, w = self.valid.shape
-        rows = ((np.arange(h) + 0.5) * mask.shape[0] / h).astype(int)
-        columns = ((np.arange(w) + 0.5) * mask.shape[1] / w).astype(int)
-        return self.valid & mask[rows][:, columns]
+        return self.valid & resample(mask, w, h)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,6 +12,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.background import complete_background
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import transform
 from f3sr.film import make_film
 from f3sr.film.deadband import Held
@@ -21,7 +22,6 @@ from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.scene_package.package import Package
 from f3sr.settings import settings
-from f3sr.vision.silhouette import resample
 
 STANDS = 0.01
 """Height above the support plane up to which an object counts as on it [m]."""

@@ -12,6 +12,7 @@ from annotated_types import Interval
 
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, minimise
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array, rotation_angle
 from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision
@@ -19,7 +20,7 @@ from f3sr.scene import Scene
 from f3sr.settings import settings
 from f3sr.vision.decimated import outlined
 from f3sr.vision.motion_params import CameraFreedom
-from f3sr.vision.silhouette import Surface, Target, iou, loss, resample
+from f3sr.vision.silhouette import Surface, Target, iou, loss
 from f3sr.vision.silhouette_integrals import AREA, MISMATCH, Integrals
 
 Term = Callable[[Integrals, Target], Local]

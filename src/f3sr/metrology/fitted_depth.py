@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.backends.protocols import EstimatedGeometry, GeometryEstimator, PromptedImage
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.metrology.affine_depth import AffineDepth, fit_affine_depth
 from f3sr.metrology.ground_metrology import GroundMetrology
 from f3sr.neural.depth_maps import DepthAnythingNetwork, DepthNetwork, DptNetwork
 from f3sr.neural.pixel_rays import rays
 from f3sr.scene import Photo
-from f3sr.vision.silhouette import resample
 
 PIXELS = 20_000
 """Most ground pixels that are fitted to: a network's errors reach over many."""

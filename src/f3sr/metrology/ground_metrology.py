@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.metrology.camera_estimate import CameraEstimate, CameraPriors, estimate_camera
 from f3sr.metrology.ground_normal import ground_normal
 from f3sr.vision.ground_plane import GroundNormal
-from f3sr.vision.silhouette import resample, union_of
+from f3sr.vision.silhouette import union_of
 
 LONGEST = 512
 """Longer side of the point map: a plane needs no more."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.backends.protocols import PromptedImage
+from f3sr.core.resampling import resample
 from f3sr.vision.ground_plane import GroundNormal, agreeing, normal_of
-from f3sr.vision.silhouette import resample, union_of
+from f3sr.vision.silhouette import union_of
 
 LOWER = 0.4
 """Share of the photo from below that is taken for ground where none is outlined."""

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.backends.protocols import EstimatedGeometry, GeometryEstimator, PromptedImage
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.metrology.fitted_depth import geometry_of_depths, relative_geometry
 from f3sr.metrology.ground_metrology import GroundMetrology
 from f3sr.metrology.scaled_depth import fit_scale
-from f3sr.vision.silhouette import resample
 from f3sr.workers.geometry_worker import GeometryWorker
 from f3sr.workers.job_worker import WorkerModel
 

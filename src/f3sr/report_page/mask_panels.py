@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.io.images import resized
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT, Image
-from f3sr.vision.silhouette import Mask, iou, resample, union_of
+from f3sr.vision.silhouette import Mask, iou, union_of
 
 MARGIN = 0.12
 """Around what a panel shows, as a share of its longer side."""

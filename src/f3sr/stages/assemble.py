@@ -12,6 +12,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
 from f3sr.files.bounds import MAX_FRICTION
 from f3sr.io.given_properties import MATERIALS, GivenProperties
@@ -22,7 +23,7 @@ from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Ground, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
 from f3sr.vision import rasterizer
-from f3sr.vision.silhouette import iou, resample
+from f3sr.vision.silhouette import iou
 
 POSE_GRID = 2.0**-32
 """Step to which poses are rounded: .2 nm, and scales to as many binary digits. Digits beyond depend on how a program

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array, cross
-from f3sr.vision.silhouette import resample
 
 LETTERS = ("rl", "du", "fb")
 """Of each axis, in OpenCV's axes: the letter of its own way, and of the other."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.depth_prior import sigma
 from f3sr.vision.regions import grown, joined_to, nearest_in
-from f3sr.vision.silhouette import Mask, resample, union_of
+from f3sr.vision.silhouette import Mask, union_of
 
 RESOLUTION = 384
 """Longer side [px] of the images that depths are compared in."""
@@ -28,6 +30,8 @@ BORDER = 3
 """Pixels of the geometry at the border of a mask whose depths may be mixed with its neighbour's."""
 GRAZING = np.radians(25)
 """Flattest angle [rad] at which a surface is seen: seen flatter, one that goes on looks like a step."""
+NOWHERE = slice(0), slice(0)
+"""A part of a picture without pixels."""
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
@@ -72,29 +76,55 @@ def comparable_region(o: SceneObject, nearer: Iterable[SceneObject], scene: Scen
     return valid
 
 
+_FOUND: WeakKeyDictionary[Geometry, dict[tuple[object, ...], _Hidden]] = WeakKeyDictionary()
+"""What was found in geometries that are in use: poses change, masks do not, and every pose is compared anew."""
+
+
 def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry, camera: Camera) -> Mask:
     """The pixels (H, W) of other objects' masks where the geometry shows a surface before an object, as a bowl's wall
-    before the fruit in it: there the object would be hidden.
+    before the fruit in it: there the object would be hidden. The object's pose does not matter.
 
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
     stands on another, depth goes on without a step. A crate's wall, seen from above, begins with a step and gets deeper
     downwards. It is before the object as long as it is nearer across the ground. The ``camera`` tells what is vertical.
     """
-    mine = geometry.inside(o.mask)
-    sure = _inner(mine)
-    hidden = np.zeros_like(mine)
-    if sure.any():
-        rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))
+    masks = (o.mask, *(p.mask for p in others))
+    found, key = _FOUND.setdefault(geometry, {}), (*map(id, masks), camera.T_world_camera[2, :3].tobytes())
+    if key not in found:
+        found[key] = _Hidden.of(masks, geometry, camera)
+    hidden = np.zeros(geometry.valid.shape, np.bool_)
+    hidden[found[key].there] = found[key].pixels
+    return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Hidden:
+    """The ``pixels`` of a part of the geometry where an object would be hidden, and the masks that tell it."""
+
+    there: tuple[slice, slice]
+    pixels: Mask
+    masks: tuple[Mask, ...]
+    """Held, so that no other mask gets the id of one of them."""
+
+    @classmethod
+    def of(cls, masks: tuple[Mask, ...], geometry: Geometry, camera: Camera) -> _Hidden:
+        mine = geometry.inside(masks[0])
+        sure = _inner(mine)
+        if not sure.any():
+            return cls(there=NOWHERE, pixels=np.zeros((0, 0), np.bool_), masks=masks)
+        rest = geometry.inside(union_of(masks[1:], masks[0].shape))
         there = _around(mine)
         beside = _Beside.of(geometry, sure, there)
-        hidden[there] = rest[there] & beside.is_nearer()
+        pixels = rest[there] & beside.is_nearer()
         steps = np.zeros_like(mine)
-        steps[there] = beside.begins(hidden[there] & grown(mine[there], 2 * BORDER))
+        steps[there] = beside.begins(pixels & grown(mine[there], 2 * BORDER))
         if steps.any():
+            hidden = np.zeros_like(mine)
+            hidden[there] = pixels
             there = _around(mine, widely=True)
             walls = rest[there] & _Beside.of(geometry, sure, there).is_nearer_across_ground(camera)
-            hidden[there] |= joined_to(steps[there], within=hidden[there] | walls)
-    return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+            pixels = hidden[there] | joined_to(steps[there], within=hidden[there] | walls)
+        return cls(there=there, pixels=pixels, masks=masks)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array, cross, pose, turn_about
 from f3sr.io.images import resized
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
-from f3sr.vision.silhouette import resample
 
 Image = NDArray[np.uint8]
 """(h, w, 3) sRGB."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from f3sr.vision import rasterizer, silhouette_integrals
 from f3sr.vision.silhouette_integrals import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
 
 Mask = NDArray[np.bool_]
-P = TypeVar("P", bound=np.generic)
 
 
 def iou(a: Mask, b: Mask, valid: Mask | None = None) -> float:
@@ -36,13 +34,6 @@ def union_of(masks: Iterable[Mask], shape: tuple[int, ...]) -> Mask:
     for mask in masks:
         union |= mask
     return union
-
-
-def resample(mask: NDArray[P], width: int, height: int) -> NDArray[P]:
-    """A mask, or any values (h, w), read at the pixel centres of another resolution (height, width), nearest."""
-    rows = ((np.arange(height) + 0.5) * mask.shape[0] / height).astype(int)
-    columns = ((np.arange(width) + 0.5) * mask.shape[1] / width).astype(int)
-    return mask[rows][:, columns]
 
 
 @constants

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from f3sr.core.resampling import resample
 from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
@@ -18,7 +19,7 @@ from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
 from f3sr.vision.occlusion import comparable_region, nearer_objects
-from f3sr.vision.silhouette import iou, resample
+from f3sr.vision.silhouette import iou
 
 MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import transform
 from f3sr.report import Decision
 from f3sr.scene import Geometry, Scene
@@ -15,7 +16,7 @@ from f3sr.stages.align.config import AlignConfig
 from f3sr.vision.crop import sampled
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import CameraFreedom
-from f3sr.vision.silhouette import LossWeights, Surface, Target, resample, union_of
+from f3sr.vision.silhouette import LossWeights, Surface, Target, union_of
 from f3sr.vision.silhouette_fit import CameraFit
 
 ITERATIONS = 25

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.rasterizer import EMPTY
-from f3sr.vision.silhouette import resample
 
 RESOLUTION = 512
 """Longer side [px] of the pictures that relations are read from."""

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from f3sr.core.resampling import resample
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.supports import Candidate
-from f3sr.vision.silhouette import resample
 
 
 def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | None:
