@@ -18,6 +18,7 @@ from f3sr.cli.main import main
 from f3sr.errors import InputError, OutputError
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
+from f3sr.runtime import atomic_folder
 from f3sr.scene import Photo
 from f3sr.segmentation.coco_masks import RunLengthCode, decoded, read_coco
 from f3sr.segmentation.colour_mixture import colour_mixture, lab
@@ -451,6 +452,29 @@ def test_a_folder_that_was_added_to_is_not_replaced(tmp_path: Path):
     (out / "geometry.npz").write_bytes(b"mine")
     with pytest.raises(OutputError, match=r"geometry\.npz"):
         write_input_folder(out, photo=photo, objects=objects, ground=nothing)
+
+
+@pytest.mark.parametrize("file", ["masks/00.png", "masks/01_new.png", "image.png", "prompts.json"])
+def test_a_folder_that_was_changed_is_not_replaced(file: str, tmp_path: Path):
+    photo, nothing = photo_file(tmp_path, painted()), np.zeros((H, W), bool)
+    objects = {0: OutlinedObject(label="", mask=disc(60, 60, 20))}
+    out = write_input_folder(tmp_path / "out", photo=photo, objects=objects, ground=nothing)
+    mended = selection_bytes(Selection(prompts=()))  # of no hashes
+    (out / file).write_bytes(mended)
+    with pytest.raises(OutputError, match=file if file != "prompts.json" else "accepted"):
+        write_input_folder(out, photo=photo, objects=objects, ground=nothing)
+    assert (out / file).read_bytes() == mended and not atomic_folder.being_written(tmp_path)
+
+
+def test_the_command_refuses_a_mended_folder_before_it_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    file, box = photo_file(tmp_path, painted((disc(60, 60, 20), (200, 30, 30)))), "--box=35,35,85,85"
+    command = ["segment", str(file), "-o", str(tmp_path / "out"), box]
+    assert main(command) == 0 and main(command) == 0
+    (tmp_path / "out/masks/00.png").write_bytes(b"mended")
+    assert main([*command, "--segmenter", "nosuch"]) == 2 and main(command) == 1
+    told = capsys.readouterr().err
+    assert "masks/00.png was changed or removed since f3sr segment wrote it; give another folder" in told
+    assert (tmp_path / "out/masks/00.png").read_bytes() == b"mended"
 
 
 def test_names_of_masks_are_safe():

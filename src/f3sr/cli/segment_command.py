@@ -82,7 +82,12 @@ def segment(
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
     from f3sr.scene_package.package_folder import placed
-    from f3sr.segmentation.input_folder_writer import OutlinedObject, read_photo, write_input_folder
+    from f3sr.segmentation.input_folder_writer import (
+        OutlinedObject,
+        read_photo,
+        require_writable,
+        write_input_folder,
+    )
     from f3sr.segmentation.named_objects import with_ground
     from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, GROUND_SEGMENTERS, SEGMENTERS
     from f3sr.segmentation.selection import outlined, told_apart
@@ -109,7 +114,7 @@ def segment(
             raise F3srError(mask_page.NOTHING_SAVED)
         print(json_.dumps({"folder": str(saved)}) if json else f"folder:   {saved}")
         return
-    picture, folder = read_photo(photo), placed(out)
+    picture, folder = read_photo(photo), require_writable(placed(out))
     selection, told = _selection(prompts, box, inside, outside, ground_stroke), ()
     named = _named(picture, segment, selection, choice) if segment else None
     if named:
