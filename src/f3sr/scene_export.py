@@ -82,7 +82,7 @@ def exporters_of(formats: Sequence[str], *, option: str = "formats") -> list[Bac
     require_known(option, formats, EXPORTERS.names())
     found = [EXPORTERS.find(name) for name in sorted(set(formats))]
     for exporter in found:
-        for need in getattr(exporter.made, "needs", list[Any])():
+        for need in exporter.needs():
             if not need.met:
                 raise F3srError(f"the format {exporter.name} needs {need.what}, which is not installed: {need.remedy}")
     return found
