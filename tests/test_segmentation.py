@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,12 +17,13 @@ import f3sr
 from f3sr.backends.protocols import Prompt
 from f3sr.backends.registry import Backend
 from f3sr.cli.main import main
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import F3srWarning, InputError, OutputError
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
 from f3sr.runtime import atomic_folder
 from f3sr.scene import Photo
-from f3sr.segmentation.coco_masks import RunLengthCode, decoded, read_coco
+from f3sr.segmentation.coco_document import RunLengthCode
+from f3sr.segmentation.coco_masks import decoded, read_coco
 from f3sr.segmentation.colour_mixture import colour_mixture, lab
 from f3sr.segmentation.grabcut import GrabCut
 from f3sr.segmentation.grid_cut import pixel_grid
@@ -356,6 +359,61 @@ def test_coco_files(tmp_path: Path):
 )
 def test_hostile_coco_files_are_refused(segmentation: object, tmp_path: Path):
     with pytest.raises(InputError):
+        read_coco(coco(tmp_path / "a.json", segmentation), painted())
+
+
+SQUARE = [[10, 20, 30, 20, 30, 50, 10, 50]]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"categories": [{"id": 8, "name": "cup"}]}, "annotation 0: category_id 7; accepted: an id of categories: 8"),
+        ({"categories": [{"id": 7, "name": "cup"}, {"id": 7, "name": "jug"}]}, "categories: 2 with the id 7"),
+        ({"images": [{"id": 5}, {"id": 5}]}, "images: 2 with the id 5"),
+        ({"images": [{"id": 5}]}, "annotation 0: image_id 1; accepted: an id of images: 5"),
+        (
+            {"images": [{"id": 1, "width": W, "height": 99}]},
+            f"an image of {W}x99 pixels; accepted: the photo's {W}x{H}",
+        ),
+        ({"annotations": [{"segmentation": SQUARE, "iscrowd": 1}]}, "annotation 0: iscrowd 1, a group of objects"),
+        ({"annotations": [{"segmentation": SQUARE, "iscrowd": 7}]}, "annotation 0: iscrowd = 7"),
+    ],
+)
+def test_what_a_coco_file_cannot_mean_is_refused_by_name(more: dict[str, object], said: str, tmp_path: Path):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_coco(coco(tmp_path / "a.json", SQUARE, **more), painted(), name="a.png")
+
+
+def test_annotations_of_several_images_without_a_list_of_them_are_refused(tmp_path: Path):
+    (tmp_path / "a.json").write_text(json.dumps([{"image_id": k, "segmentation": SQUARE} for k in (3, 4)]))
+    with pytest.raises(InputError, match=r"annotations of the images 3, 4; accepted: annotations of one image"):
+        read_coco(tmp_path / "a.json", painted())
+
+
+def test_one_image_of_another_name_is_told(tmp_path: Path):
+    file = coco(tmp_path / "a.json", SQUARE)
+    with pytest.warns(F3srWarning, match=r"a\.json: its image is a\.png, the photo b\.png"):
+        assert len(read_coco(file, painted(), name="b.png")) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_coco(file, painted(), name="a.png")
+        read_coco(file, painted())
+
+
+@pytest.mark.parametrize(
+    ("segmentation", "said"),
+    [
+        ({"size": [H, W], "counts": [0, -1]}, "annotation 0: segmentation.code.counts.runs.1 = -1; accepted: greater"),
+        ({"size": [H, W], "counts": None}, "annotation 0: segmentation.code.counts = None; accepted: text or a list"),
+        ({"size": [H, W]}, "annotation 0: no segmentation.code.counts"),
+        ([], "annotation 0: segmentation.polygons = []; accepted: at least 1 item"),
+        ([[1, 2, 3, 4]], "annotation 0: segmentation.polygons.0 = [1, 2, 3, 4]; accepted: at least 6 items"),
+        ("text", "annotation 0: segmentation = 'text'; accepted: a run-length code or a list of polygons"),
+    ],
+)
+def test_a_wrong_segmentation_is_told_by_its_own_part(segmentation: object, said: str, tmp_path: Path):
+    with pytest.raises(InputError, match=re.escape(said)):
         read_coco(coco(tmp_path / "a.json", segmentation), painted())
 
 
