@@ -175,7 +175,27 @@ def test_a_grasp_is_as_wide_as_what_is_between_its_pads(package: Package) -> Non
 
 def test_a_grasp_of_what_the_scene_has_not_names_its_objects(package: Package) -> None:
     with pytest.raises(InputError, match="grasp: found object 99; accepted: one of 0, 1"):
-        next(pick(package.scene, 99, GripperConfig(), rate=RATE))
+        pick(package.scene, 99, GripperConfig(), rate=RATE)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"rate": 0}, "rate: found 0; accepted: 1 to 1000 actions a second"),
+        ({"rate": 1e9}, "rate: found 1000000000.0; accepted: 1 to 1000"),
+        ({"rate": "20"}, "rate: found '20'"),
+        ({"lift": 1e9}, "lift: found 1000000000.0; accepted: 0 to 0.[0-9]+ m: no higher does the hand go"),
+        ({"lift": -0.1}, "lift: found -0.1; accepted: 0 to"),
+        ({"lift": float("nan")}, "lift: found nan"),
+        ({"hold": 1e9}, "hold: found 1000000000.0; accepted: 0 to 600 s"),
+    ],
+)
+def test_a_grasp_that_the_hand_cannot_do_is_refused_at_once(
+    package: Package, options: dict[str, Any], said: str
+) -> None:
+    id = next(o.id for o in package.scene if o.mobility == "dynamic" and grasp_of(package.scene, o.id, GripperConfig()))
+    with pytest.raises(InputError, match=said):
+        pick(package.scene, id, GripperConfig(), **{"rate": RATE, **options})
 
 
 def test_pictures_show_the_gripper_and_are_the_photo_without(package: Package) -> None:

@@ -75,6 +75,13 @@ def require_action(action: Any, shape: tuple[int, ...] | None) -> NDArray[np.flo
     return numbers
 
 
+def require_within(name: str, value: Any, span: tuple[float, float], unit: str) -> None:
+    """Raise InputError unless an argument is a number of a range."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not (is_number and span[0] <= value <= span[1]):
+        raise InputError(name, found=repr(value), accepted=f"{span[0]:g} to {span[1]:g} {unit}")
+
+
 def _require_one_of(name: str, value: Any, known: Sequence[Any]) -> None:
     if not any(value == each for each in known):
         raise InputError(name, found=repr(value), accepted=", ".join(map(repr, known)))
