@@ -216,9 +216,12 @@ def test_light_and_camera_differ_from_reset_to_reset(package: Package) -> None:
     assert np.array_equal(pictures[0], pictures[1]) and (pictures[0] != pictures[2]).any()
 
 
+KINDS = (["1"] * 7, [1j] * 7, np.full(7, 1j), np.full(7, "1"), [[1], 2], [10**30] * 7, b"1234567")
+
+
 @pytest.mark.parametrize(
     "action",
-    [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7), "up", None],
+    [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7), "up", None, *KINDS],
     ids=str,
 )
 def test_actions_of_another_kind_are_refused(package: Package, action: Any) -> None:
@@ -239,6 +242,19 @@ def test_an_episode_has_a_start_and_an_end(package: Package) -> None:
         env.step(still)
     env.reset(seed=0)
     assert not env.step(still)[3]
+
+
+def test_an_episode_ends_where_its_goal_is_met(package: Package) -> None:
+    env = env_of(package, "push the can 10 cm to the left", gripper=False)
+    env.reset(seed=0)
+    assert env.task is not None and isinstance(env.task.conditions[0], Displaced)
+    push = np.array([*0.2 * np.asarray(env.task.conditions[0].direction), 0, 0, 0])
+    while not env.step(push)[2]:
+        pass
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(push)
+    env.reset(seed=0)
+    assert not env.step(push)[2]
 
 
 @pytest.mark.parametrize("options", [3, {"scnee": 0}, {"scene": 0.0}, {"scene": True}], ids=str)

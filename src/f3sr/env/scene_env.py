@@ -129,7 +129,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
         self._pictures = EpisodePictures(self.package, longest, config)
         self.action_space: spaces.Space[Any] = self._stage.controller.space
         self.observation_space: spaces.Space[Any] = spaces.Dict(self._spaces())
-        self._taken = self._steps  # no episode goes on before the first reset
+        self._taken, self._ended = 0, True  # no episode goes on before the first reset
         self._progress = self._progress_of(self._stage)
         self._potential = 0.0
         EzPickle.__init__(
@@ -169,7 +169,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
         super().reset(seed=seed)
         drawn = draw(self.np_random, len(self._stages), len(self.package.scene.objects), self._randomization)
         index = require_scene(options, drawn.scene, len(self._stages))
-        self._stage, self._taken = self._stages[index], 0
+        self._stage, self._taken, self._ended = self._stages[index], 0, False
         self._stage.start(drawn)
         if self.pictures_wanted:
             self._pictures.vary(self.np_random, self._randomization)
@@ -180,9 +180,9 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Act for 50 ms. Raises InputError for an action of another shape or that is not finite, and Gymnasium's
-        ResetNeeded before the first reset and after the end of an episode's time."""
+        ResetNeeded before the first reset and after the end of an episode."""
         commanded = require_action(action, self.action_space.shape)
-        if self._taken >= self._steps:
+        if self._ended:
             raise ResetNeeded("no episode goes on: reset() begins the next one")
         mujoco, play, controller = engine(), self.playable, self.controller
         model, data = play.model, play.data
@@ -199,8 +199,10 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
             before, self._potential = self._potential, self._margin()
             reward += self._potential - before
         lost = not (np.abs(data.qpos) < FARTHEST).all() or not (np.abs(data.qvel) < FARTHEST).all()
+        terminated, truncated = met or lost, self._taken >= self._steps
+        self._ended = terminated or truncated
         info = {"success": met, "time": float(data.time)}
-        return self._observation(), reward, met or lost, self._taken >= self._steps, info
+        return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The photo's view now (h, w, 3), the gripper included."""
