@@ -563,21 +563,24 @@ def test_the_command_writes_an_input_folder(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "said"),
     [
-        ["--box", "1,2,3"],
-        ["--box", "a,b,c,d"],
-        ["--box", "1,2,30,1e9"],
-        ["--box", "1,2,30,40", "--outside", "1:3,3"],
-        ["--box", "1,2,30,40", "--inside", "9:3,3"],
-        ["--box", "1,2,30,40", "--inside", "3,3"],
-        ["--box", "1,2,30,40", "--coco", "x.json"],
-        ["--ground-stroke", "3,3"],
-        ["--label-map", "nowhere.png"],
+        (["--box", "1,2,3"], "--box: found 1,2,3; accepted: X0,Y0,X1,Y1"),
+        (["--box", "a,b,c,d"], "--box: found a,b,c,d; accepted: X0,Y0,X1,Y1"),
+        (["--box", "1,2,30,1e9"], "prompt 0: found the box 1, 2, 30, 1e+09; accepted: left, top"),
+        (["--box", "1,2,30,40", "--outside", "1:3,3"], "--outside: found object 1; accepted: K below 1"),
+        (["--outside", "0:3,3"], "--outside: found object 0; accepted: an object of --box, --inside or --prompts"),
+        (["--box", "1,2,30,40", "--inside", "9:3,3"], "--inside: found object 9; accepted: 0 to 1"),
+        (["--box", "1,2,30,40", "--inside", "3,3"], "--inside: found 3,3; accepted: K:X,Y"),
+        (["--box", "1,2,30,40", "--coco", "x.json"], "segment: found --coco and boxes and strokes; accepted: one way"),
+        (["--ground-stroke", "3,3"], "--ground-stroke: found no object; accepted:"),
+        (["--label-map", "nowhere.png"], "nowhere.png: found no such file or directory; accepted: a PNG of 1, 8"),
+        (["--cutouts", "nosuch"], "nosuch: found nothing there; accepted: a folder of photo-sized *.png"),
     ],
 )
-def test_wrong_options_are_one_line(options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_wrong_options_are_one_line(options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = photo_file(tmp_path, painted())
     assert main(["segment", str(file), "-o", str(tmp_path / "out"), *options]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
     assert not (tmp_path / "out").exists()

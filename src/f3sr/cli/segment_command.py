@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from f3sr.cli.arguments import DeviceName, MaybeFile, Name, PrecisionName, default_shown
-from f3sr.errors import F3srError, InputError, require_known
+from f3sr.errors import F3srError, InputError
 
 if TYPE_CHECKING:
     from f3sr.backends.model_choice import ModelChoice
@@ -215,7 +215,13 @@ def _selection(
         raise InputError("--inside", found=f"object {last}", accepted=f"0 to {len(found)}")
     found += [Prompt()] * (last + 1 - len(found))
     for (number, stroke), on in strokes:
-        require_known("--outside", [str(number)], [str(k) for k in range(len(found))])
+        if number >= len(found):
+            few = (
+                f"K below {len(found)}, as objects count from 0"
+                if found
+                else "an object of --box, --inside or --prompts"
+            )
+            raise InputError("--outside", found=f"object {number}", accepted=few)
         p = found[number]
         found[number] = replace(p, inside=(*p.inside, stroke)) if on else replace(p, outside=(*p.outside, stroke))
     below = tuple(_stroke("--ground-stroke", text) for text in ground)
