@@ -44,6 +44,7 @@ def sample_scenes(
     """
     require_kind("package", package, Package, accepted="f3sr.read_package(...)")
     require_count("count", count)
+    require_kind("seed", seed, int, accepted="0 or more")
     if seed < 0:
         raise InputError("seed", found=str(seed), accepted="0 or more")
     covariances = {id: np.array(u.conditional) for id, u in package.uncertainty.items()}

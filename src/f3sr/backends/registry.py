@@ -18,7 +18,7 @@ from typing import Any, Generic, Self, TypeVar, cast
 
 import f3sr
 from f3sr.backends.model_choice import ModelChoice, Need
-from f3sr.errors import F3srError, InputError, one_line, unforeseen
+from f3sr.errors import F3srError, InputError, one_line, require_kind, unforeseen
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -122,6 +122,7 @@ class Kind(Generic[P]):
 
         Raises InputError where the name has none or several, BackendError where it cannot be imported or
         constructed, or lacks a method of the Protocol."""
+        require_kind(f"{self.name} back end", spec, str, accepted="a name, as f3sr doctor lists them")
         all_offers = list(self._offers())
         is_name = any(offer.name == spec for offer in all_offers)
         name, _, model = (spec, "", "") if is_name else spec.partition(":")

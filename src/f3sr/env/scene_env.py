@@ -28,6 +28,7 @@ from f3sr.env.episode_pictures import EpisodePictures
 from f3sr.env.goal_progress import GoalProgress, task_of
 from f3sr.env.gripper import GripperConfig
 from f3sr.env.resets import Randomization, ResetDraw, bank_of, draw
+from f3sr.errors import require_path
 from f3sr.files.bounds import FARTHEST
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, build_spec, engine
 from f3sr.physics.mujoco_scene import MujocoScene
@@ -115,7 +116,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
             longest=longest,
             render_mode=render_mode,
         )
-        self.package = package if isinstance(package, Package) else read_package(Path(package))
+        self.package = package if isinstance(package, Package) else read_package(require_path("package", package))
         self.render_mode, self.goal = render_mode, goal
         self.task = task_of(self.package.scene, goal) if goal else None
         self._conditions = self.task.conditions if self.task else ()

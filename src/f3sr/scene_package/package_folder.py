@@ -7,7 +7,7 @@ import os
 import stat
 from pathlib import Path
 
-from f3sr.errors import InputError, OutputError, reason
+from f3sr.errors import InputError, OutputError, reason, require_path
 from f3sr.files import limited_file
 from f3sr.files.bounds import MAX_SCENE_BYTES
 from f3sr.runtime import atomic_folder
@@ -90,13 +90,13 @@ def _is_no_folder(path: Path) -> bool:
         return False
 
 
-def placed(out: Path, *, rollout: bool = False) -> Path:
+def placed(out: str | Path, *, rollout: bool = False) -> Path:
     """The full path of a folder to be written, once what killed runs left there is tidied up.
 
     Raises OutputError for a path that leads nowhere, through a link in a package, or into a package. Inside a package
     only a ``rollout`` may be written, below ``rollouts``.
     """
-    path = Path(out).absolute()
+    path = require_path("out", out).absolute()
     with atomic_folder.told(path):
         atomic_folder.recover(path)
         try:
