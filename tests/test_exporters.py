@@ -549,6 +549,16 @@ def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytes
         exporters_of(["usd"])
 
 
+def test_an_unknown_format_is_told_by_the_option_that_names_it(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command, option in (("export", "--format"), ("reconstruct", "--export")):
+        assert main([command, str(package.folder), "-o", str(tmp_path / "out"), option, "glb,fbx"]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"f3sr: {option}: found fbx; accepted: glb, mjcf") and told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
 FOREIGN = """
     class Bad:
         name = "bad"
