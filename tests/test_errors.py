@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import f3sr
@@ -59,6 +60,12 @@ def test_a_value_of_another_kind_is_one_clear_error(name: str, value: Any, packa
     with pytest.raises(f3sr.InputError, match=f"^{where}: found .*; accepted: ."):
         call(package, tmp_path / "out", value)
     assert not list(tmp_path.iterdir())
+
+
+def test_whole_numbers_of_numpy_are_counts(package: Package) -> None:
+    for count in (np.int64(0), 0):  # no number of samples, but a number
+        with pytest.raises(f3sr.InputError, match="count: found 0; accepted: from 1 to"):
+            f3sr.sample_scenes(package, count)
 
 
 def test_a_refused_goal_is_not_filmed_nor_written(package: Package, tmp_path: Path) -> None:

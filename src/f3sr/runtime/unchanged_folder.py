@@ -38,7 +38,7 @@ class FolderNote:
             return
         written = self._written(out / self.name) if out.is_dir() else None
         if written is None:
-            accepted = f"a new or empty folder, or one that {self.writer} wrote"
+            accepted = f"a new or empty folder, or one whose {self.name} tells what {self.writer} wrote"
             raise OutputError(f"{out}: found {contents_of(out)}; accepted: {accepted}")
         there = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_symlink() or not p.is_dir()}
         if strangers := sorted(there - written.keys() - {self.name}):
