@@ -160,6 +160,13 @@ def test_examining_tells_what_a_back_end_needs():
     assert (need.met, need.remedy) == (False, "put them there")
 
 
+def test_a_back_end_says_what_it_lacks_before_it_is_asked():
+    with pytest.raises(InputError, match="test back end modelled: found weights: none; accepted: put them there"):
+        MODELLED.find("modelled").require_ready()
+    MODELLED.find("modelled", ModelChoice(allow_downloads=True)).require_ready()
+    MODELLED.find("own").require_ready()
+
+
 def test_built_in_and_foreign_names_are_found(voices: Path):
     own, foreign = KIND.find("own"), KIND.find("good")
     assert own.asked(lambda b: b.say("a")) == "a" and own.version == f3sr.__version__

@@ -433,7 +433,8 @@ HOSTILE = [
     ("{", "no valid JSON"),
     ('{"version": 1, "version": 1, "edits": []}', "the key 'version' twice"),
     ({"version": 2, "edits": []}, "version = 2"),
-    ({"version": True, "edits": []}, "version"),
+    ({"version": True, "edits": []}, "found version: True; accepted: a whole number"),
+    ({"version": "1", "edits": []}, "found version: '1'; accepted: a whole number"),
     ({"version": 1}, "no edits"),
     ({"version": 1, "edits": [], "more": 1}, "an unknown more = 1"),
     ({"version": 1, "edits": {}}, "edits = {}"),
@@ -583,7 +584,14 @@ def test_a_list_that_is_missing_is_exit_code_2(package: Package, tmp_path: Path,
     assert not out.exists()
 
 
-def test_without_any_edit_there_is_nothing_to_do(package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["edit", str(package.folder), "-o", str(tmp_path / "out")]) == 2
-    assert "--edits: found none, and none in the package" in capsys.readouterr().err
+def test_without_any_edit_nothing_is_opened(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(EditSession, "open", lambda *args, **more: pytest.fail("the package was opened"))
+    (tmp_path / "none.json").write_bytes(edits_json([]))
+    for given in ([], ["--edits", str(tmp_path / "none.json")]):
+        assert main(["edit", str(package.folder), "-o", str(tmp_path / "out"), *given]) == 2
+        assert "--edits: found none, and none in the package" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert main(["edit", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out")]) == 2
+    assert "nowhere: found nothing there" in capsys.readouterr().err

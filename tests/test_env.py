@@ -175,7 +175,27 @@ def test_a_grasp_is_as_wide_as_what_is_between_its_pads(package: Package) -> Non
 
 def test_a_grasp_of_what_the_scene_has_not_names_its_objects(package: Package) -> None:
     with pytest.raises(InputError, match="grasp: found object 99; accepted: one of 0, 1"):
-        next(pick(package.scene, 99, GripperConfig(), rate=RATE))
+        pick(package.scene, 99, GripperConfig(), rate=RATE)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"rate": 0}, "rate: found 0; accepted: 1 to 1000 actions a second"),
+        ({"rate": 1e9}, "rate: found 1000000000.0; accepted: 1 to 1000"),
+        ({"rate": "20"}, "rate: found '20'"),
+        ({"lift": 1e9}, "lift: found 1000000000.0; accepted: 0 to 0.[0-9]+ m: no higher does the hand go"),
+        ({"lift": -0.1}, "lift: found -0.1; accepted: 0 to"),
+        ({"lift": float("nan")}, "lift: found nan"),
+        ({"hold": 1e9}, "hold: found 1000000000.0; accepted: 0 to 600 s"),
+    ],
+)
+def test_a_grasp_that_the_hand_cannot_do_is_refused_at_once(
+    package: Package, options: dict[str, Any], said: str
+) -> None:
+    id = next(o.id for o in package.scene if o.mobility == "dynamic" and grasp_of(package.scene, o.id, GripperConfig()))
+    with pytest.raises(InputError, match=said):
+        pick(package.scene, id, GripperConfig(), **{"rate": RATE, **options})
 
 
 def test_pictures_show_the_gripper_and_are_the_photo_without(package: Package) -> None:
@@ -196,9 +216,12 @@ def test_light_and_camera_differ_from_reset_to_reset(package: Package) -> None:
     assert np.array_equal(pictures[0], pictures[1]) and (pictures[0] != pictures[2]).any()
 
 
+KINDS = (["1"] * 7, [1j] * 7, np.full(7, 1j), np.full(7, "1"), [[1], 2], [10**30] * 7, b"1234567")
+
+
 @pytest.mark.parametrize(
     "action",
-    [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7), "up", None],
+    [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7), "up", None, *KINDS],
     ids=str,
 )
 def test_actions_of_another_kind_are_refused(package: Package, action: Any) -> None:
@@ -219,6 +242,19 @@ def test_an_episode_has_a_start_and_an_end(package: Package) -> None:
         env.step(still)
     env.reset(seed=0)
     assert not env.step(still)[3]
+
+
+def test_an_episode_ends_where_its_goal_is_met(package: Package) -> None:
+    env = env_of(package, "push the can 10 cm to the left", gripper=False)
+    env.reset(seed=0)
+    assert env.task is not None and isinstance(env.task.conditions[0], Displaced)
+    push = np.array([*0.2 * np.asarray(env.task.conditions[0].direction), 0, 0, 0])
+    while not env.step(push)[2]:
+        pass
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(push)
+    env.reset(seed=0)
+    assert not env.step(push)[2]
 
 
 @pytest.mark.parametrize("options", [3, {"scnee": 0}, {"scene": 0.0}, {"scene": True}], ids=str)

@@ -23,11 +23,12 @@ from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, box_corners, pose, rotation_about, rotation_angle, transform
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.exporters.drake_contact import STIFFNESS
-from f3sr.exporters.export_names import export_name, id_of
+from f3sr.exporters.export_names import export_name, export_text, id_of
 from f3sr.exporters.exported_scene import GROUND_DEPTH, ExportedScene
 from f3sr.exporters.glb import T_CAMERA_GLTF, T_YUP_ZUP, scene_to_glb, with_normals
 from f3sr.exporters.grown_hulls import grown
 from f3sr.exporters.thumbnail import SIDE, thumbnail
+from f3sr.exporters.xml_text import document
 from f3sr.importing.glb_nodes import read_glb_scene
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.runtime.file_date import date_of
@@ -80,6 +81,28 @@ def test_names_are_safe_and_tell_their_id(label: str) -> None:
     assert re.fullmatch(r"[a-z][a-z0-9_]*_03", name) and len(name) <= 50
     assert id_of(name) == 3
     assert name == export_name(3, label)
+
+
+@pytest.mark.parametrize("label", ["red\xa0mug", "赤い\u3000マグ", "لیوان می\u200cشود", "👩\u200d🍳", "日本"])
+def test_labels_of_any_script_are_kept(label: str) -> None:
+    assert export_text(label) == label
+
+
+def test_labels_hold_nothing_that_xml_and_usd_cannot() -> None:
+    every = "".join(map(chr, [*range(0x3000), *range(0xD7F0, 0xE010), 0xFEFF, *range(0xFFF0, 0x10010), 0xE0001]))
+    kept = export_text(every)
+    assert kept == export_text(kept) and "\\x00" in kept and "\\u202e" in kept and "\\ud800" in kept
+    root = ET.Element("a", b=kept)
+    root.text = kept
+    again = ET.fromstring(document(root))
+    assert again.text == again.get("b") == kept
+
+
+def test_sdf_keeps_spaces_of_other_scripts(tmp_path: Path) -> None:
+    written = read_package(write_package(scene_of(box(3, label="赤い\u3000マグ")), tmp_path / "table"))
+    out = export_package(written, tmp_path / "out", ["sdf"])
+    (config,) = out.rglob("model.config")
+    assert ET.parse(config).findtext("description") == "object 3: 赤い\u3000マグ"
 
 
 def test_names_differ_where_ids_do() -> None:
@@ -524,6 +547,16 @@ def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytes
     monkeypatch.setattr("f3sr.exporters.usd.find_spec", lambda name: None)
     with pytest.raises(F3srError, match=r"usd needs package usd-core.*pip install 'f3sr\[usd\]'"):
         exporters_of(["usd"])
+
+
+def test_an_unknown_format_is_told_by_the_option_that_names_it(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command, option in (("export", "--format"), ("reconstruct", "--export")):
+        assert main([command, str(package.folder), "-o", str(tmp_path / "out"), option, "glb,fbx"]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"f3sr: {option}: found fbx; accepted: glb, mjcf") and told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 FOREIGN = """

@@ -177,6 +177,6 @@ def test_other_folders_are_named_and_never_replaced(session: Path, tmp_path: Pat
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("x")
     composition = fysiverse.read(ImportSource(path=session))
-    with pytest.raises(OutputError, match="found something else"):
+    with pytest.raises(OutputError, match=r"found a folder with thesis\.tex"):
         write_imported(tmp_path / "mine", composition, drawn(composition))
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "x"

@@ -21,6 +21,7 @@ import pytest
 from PIL import Image
 
 from f3sr import mask_page
+from f3sr.backends.model_choice import Need
 from f3sr.backends.protocols import Prompt, Segmenter
 from f3sr.backends.registry import Backend
 from f3sr.errors import F3srWarning, InputError
@@ -444,6 +445,15 @@ def test_a_box_without_an_object_is_one_line_and_the_page_goes_on(served: Served
     assert status == 422 and told["problem"].startswith("object 1: found an empty box")
     assert served.post("save", {"page": page, "revision": 2, "selection": selection((1, 1, 20, 20))})[0] == 422
     assert served.post("outline", {"page": page, "revision": 3, "selection": selection(RED)})[0] == 200
+
+
+def test_a_segmenter_that_lacks_something_opens_no_page(tmp_path: Path):
+    class Lacking(ByColour):
+        def needs(self) -> tuple[Need, ...]:
+            return (Need(what="package torch", met=False, found="not installed", remedy="pip install torch"),)
+
+    with pytest.raises(InputError, match="package torch: not installed; accepted: pip install torch"):
+        mask_page.serve(tmp_path / "p.png", tmp_path / "out", backend(Lacking()), tell=pytest.fail)
 
 
 def test_a_segmenter_that_breaks_is_one_line(served: Served, monkeypatch: pytest.MonkeyPatch):

@@ -12,7 +12,9 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, union
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about, transform
 from f3sr.io.pose_conventions import CAMERAS, FILE_AXES, GLTF_FROM_Z_UP, SignedAxes
-from f3sr.mesh_poses.pose_by_mask import FoundPose
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
+from f3sr.mesh_poses.placed_by_reading import placed_by_reading
+from f3sr.mesh_poses.pose_by_mask import FoundPose, MaskedPhoto
 from f3sr.mesh_poses.posed_meshes import posed_meshes
 from f3sr.mesh_poses.poses_by_masks import AXES, RankedPoses, upright
 from f3sr.scene import Geometry, Instance, Photo, SceneObject
@@ -173,6 +175,32 @@ def test_poses_that_show_nothing_of_the_masks_are_not_believed():
     assert "pose by its mask" in made.told
     found = transform(made.T_camera_object, made.scale * made.mesh.vertices)
     assert np.linalg.norm(found - transform(T_true, 0.3 * chair().vertices), axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("unit", "told"),
+    [(1.0, ""), (1.7, ""), (0.01, "centimetres"), (0.001, "millimetres"), (100.0, "hundreds"), (1000.0, "thousands")],
+)
+def test_places_in_another_unit_take_the_geometry_s_and_a_larger_one_is_a_fallback(unit: float, told: str):
+    """Larger places mean that the geometry is in a smaller unit, so that all of the scene has a wrong size."""
+    image, geometry, K, T = seen(0.4)
+    places = CandidatePlaces(
+        ids=(0,),
+        names=("as written",),
+        R=T[None, None, :3, :3],
+        t=T[None, None, :3, 3] / unit,
+        scale=np.array([[0.3 / unit]]),
+        own=np.eye(3)[None],
+    )
+    placed = placed_by_reading(MaskedPhoto.of(image, geometry, K), {0: chair()}, places, 0)
+    factor = unit if told else 1.0
+    assert placed.assets[0].scale == pytest.approx(0.3 * factor / unit)
+    assert np.allclose(placed.assets[0].T_camera_object[:3, 3], T[:3, 3] * factor / unit)
+    assert [(d.choice, d.fallback) for d in placed.decisions] == (
+        [(f"assets: all places and sizes times {unit:g}", unit > 1)] if told else []
+    )
+    assert all(f"in {told} they agree" in d.reason for d in placed.decisions)
+    assert all(("is it in a smaller unit?" in d.reason) is (unit > 1) for d in placed.decisions)
 
 
 def on_a_ground() -> tuple[PromptedImage, Geometry, list[SceneObject], Camera]:

@@ -105,6 +105,17 @@ def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: 
         (["--box", "9,2,3,4:mug"], 2, "left, top, right, bottom"),
         (["--box", "1,1,5,5", "--segmenter", "magic"], 2, "segmentation back end: found 'magic'"),
         (["--edits", "{photo}"], 2, "a list of edits, version 1"),
+        (["--config", "{photo}"], 2, "a TOML file of settings"),
+        (["--geometry", "magic"], 2, "geometry back end: found 'magic'"),
+        (["--normals", "magic"], 2, "normals back end: found 'magic'"),
+        (["--normals-axes", "rdf"], 2, "--normals-axes: found rdf; accepted: together with --normals"),
+        (["--assets", "magic"], 2, "assets back end: found 'magic'"),
+        (["--assets", "saved"], 2, "assets back end saved: found folder: none; accepted: --assets saved:DIR"),
+        (["--background", "magic"], 2, "background back end: found 'magic'"),
+        (["--focal", "300", "--focal-35mm", "28"], 2, "--focal: found also --focal-35mm"),
+        (["--focal", "1"], 2, "--focal: found 1; accepted:"),
+        (["--camera-height", "-1"], 2, "--camera-height: found -1; accepted:"),
+        (["--known", "mug"], 2, "--known: found mug; accepted:"),
         (["-o", "{photo}"], 1, "my table.png"),
         (["-o", "{folder}"], 1, "accepted: a new or empty folder, or an f3sr package"),
     ],
@@ -113,9 +124,11 @@ def test_what_is_wrong_is_one_line_before_any_page(
     photo: Path, calls: Calls, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
 ):
     given = [a.format(photo=photo, folder=photo.parent) for a in arguments]
-    assert main(["photo", str(photo), *given]) == code
-    told = capsys.readouterr().err
-    assert said in told and told.startswith("f3sr: ") and told.count("\n") == 1
+    calls.page = lambda shown, out, **more: out
+    for ways in ([], BOXES):
+        assert main(["photo", str(photo), *given, *ways]) == code
+        told = capsys.readouterr().err
+        assert said in told and told.startswith("f3sr: ") and told.count("\n") == 1
     assert not calls.pages and not calls.reconstructed and sorted(photo.parent.iterdir()) == [photo]
 
 

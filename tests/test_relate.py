@@ -215,7 +215,8 @@ def test_what_hangs_high_above_all_stays_and_says_so():
     scene, outcome = relate(hanging(0.4))
     assert (scene[1].supported_by, scene[1].supports, scene[1].mobility) == (None, (), "fixed")
     assert scene[0].supported_by == GROUND and outcome.report.value("objects on something unseen") == 1
-    assert [d.about for d in outcome.decisions if "unseen" in d.choice] == [1]
+    (told,) = (d for d in outcome.decisions if "unseen" in d.choice)
+    assert (told.about, told.fallback) == (1, True) and "kept fixed" in told.choice and told.reason
     assert not any(r.subject == 1 and r.predicate == "supported_by" for r in scene.graph.relations)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,11 +17,13 @@ import f3sr
 from f3sr.backends.protocols import Prompt
 from f3sr.backends.registry import Backend
 from f3sr.cli.main import main
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import F3srWarning, InputError, OutputError
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
+from f3sr.runtime import atomic_folder
 from f3sr.scene import Photo
-from f3sr.segmentation.coco_masks import RunLengthCode, decoded, read_coco
+from f3sr.segmentation.coco_document import RunLengthCode
+from f3sr.segmentation.coco_masks import decoded, read_coco
 from f3sr.segmentation.colour_mixture import colour_mixture, lab
 from f3sr.segmentation.grabcut import GrabCut
 from f3sr.segmentation.grid_cut import pixel_grid
@@ -358,6 +362,61 @@ def test_hostile_coco_files_are_refused(segmentation: object, tmp_path: Path):
         read_coco(coco(tmp_path / "a.json", segmentation), painted())
 
 
+SQUARE = [[10, 20, 30, 20, 30, 50, 10, 50]]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"categories": [{"id": 8, "name": "cup"}]}, "annotation 0: category_id 7; accepted: an id of categories: 8"),
+        ({"categories": [{"id": 7, "name": "cup"}, {"id": 7, "name": "jug"}]}, "categories: 2 with the id 7"),
+        ({"images": [{"id": 5}, {"id": 5}]}, "images: 2 with the id 5"),
+        ({"images": [{"id": 5}]}, "annotation 0: image_id 1; accepted: an id of images: 5"),
+        (
+            {"images": [{"id": 1, "width": W, "height": 99}]},
+            f"an image of {W}x99 pixels; accepted: the photo's {W}x{H}",
+        ),
+        ({"annotations": [{"segmentation": SQUARE, "iscrowd": 1}]}, "annotation 0: iscrowd 1, a group of objects"),
+        ({"annotations": [{"segmentation": SQUARE, "iscrowd": 7}]}, "annotation 0: iscrowd = 7"),
+    ],
+)
+def test_what_a_coco_file_cannot_mean_is_refused_by_name(more: dict[str, object], said: str, tmp_path: Path):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_coco(coco(tmp_path / "a.json", SQUARE, **more), painted(), name="a.png")
+
+
+def test_annotations_of_several_images_without_a_list_of_them_are_refused(tmp_path: Path):
+    (tmp_path / "a.json").write_text(json.dumps([{"image_id": k, "segmentation": SQUARE} for k in (3, 4)]))
+    with pytest.raises(InputError, match=r"annotations of the images 3, 4; accepted: annotations of one image"):
+        read_coco(tmp_path / "a.json", painted())
+
+
+def test_one_image_of_another_name_is_told(tmp_path: Path):
+    file = coco(tmp_path / "a.json", SQUARE)
+    with pytest.warns(F3srWarning, match=r"a\.json: its image is a\.png, the photo b\.png"):
+        assert len(read_coco(file, painted(), name="b.png")) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_coco(file, painted(), name="a.png")
+        read_coco(file, painted())
+
+
+@pytest.mark.parametrize(
+    ("segmentation", "said"),
+    [
+        ({"size": [H, W], "counts": [0, -1]}, "annotation 0: segmentation.code.counts.runs.1 = -1; accepted: greater"),
+        ({"size": [H, W], "counts": None}, "annotation 0: segmentation.code.counts = None; accepted: text or a list"),
+        ({"size": [H, W]}, "annotation 0: no segmentation.code.counts"),
+        ([], "annotation 0: segmentation.polygons = []; accepted: at least 1 item"),
+        ([[1, 2, 3, 4]], "annotation 0: segmentation.polygons.0 = [1, 2, 3, 4]; accepted: at least 6 items"),
+        ("text", "annotation 0: segmentation = 'text'; accepted: a run-length code or a list of polygons"),
+    ],
+)
+def test_a_wrong_segmentation_is_told_by_its_own_part(segmentation: object, said: str, tmp_path: Path):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_coco(coco(tmp_path / "a.json", segmentation), painted())
+
+
 def test_the_photo_is_found_among_images_by_name(tmp_path: Path):
     square, images = [[10, 20, 30, 20, 30, 50, 10, 50]], [{"id": 1, "file_name": "x/a.png"}, {"id": 2}]
     file = coco(tmp_path / "a.json", square, images=images)
@@ -453,6 +512,29 @@ def test_a_folder_that_was_added_to_is_not_replaced(tmp_path: Path):
         write_input_folder(out, photo=photo, objects=objects, ground=nothing)
 
 
+@pytest.mark.parametrize("file", ["masks/00.png", "masks/01_new.png", "image.png", "prompts.json"])
+def test_a_folder_that_was_changed_is_not_replaced(file: str, tmp_path: Path):
+    photo, nothing = photo_file(tmp_path, painted()), np.zeros((H, W), bool)
+    objects = {0: OutlinedObject(label="", mask=disc(60, 60, 20))}
+    out = write_input_folder(tmp_path / "out", photo=photo, objects=objects, ground=nothing)
+    mended = selection_bytes(Selection(prompts=()))  # of no hashes
+    (out / file).write_bytes(mended)
+    with pytest.raises(OutputError, match=file):
+        write_input_folder(out, photo=photo, objects=objects, ground=nothing)
+    assert (out / file).read_bytes() == mended and not atomic_folder.being_written(tmp_path)
+
+
+def test_the_command_refuses_a_mended_folder_before_it_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    file, box = photo_file(tmp_path, painted((disc(60, 60, 20), (200, 30, 30)))), "--box=35,35,85,85"
+    command = ["segment", str(file), "-o", str(tmp_path / "out"), box]
+    assert main(command) == 0 and main(command) == 0
+    (tmp_path / "out/masks/00.png").write_bytes(b"mended")
+    assert main([*command, "--segmenter", "nosuch"]) == 2 and main(command) == 1
+    told = capsys.readouterr().err
+    assert "masks/00.png was changed or removed since f3sr segment wrote it; give another folder" in told
+    assert (tmp_path / "out/masks/00.png").read_bytes() == b"mended"
+
+
 def test_names_of_masks_are_safe():
     names = [mask_name(3, label) for label in ("Red mug!", "a/b\\c", "..", "x" * 400, "Löffel", "\u202e\n", "7up")]
     assert names[:3] == ["03_Red_mug.png", "03_a_b_c.png", "03.png"]
@@ -481,21 +563,24 @@ def test_the_command_writes_an_input_folder(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "said"),
     [
-        ["--box", "1,2,3"],
-        ["--box", "a,b,c,d"],
-        ["--box", "1,2,30,1e9"],
-        ["--box", "1,2,30,40", "--outside", "1:3,3"],
-        ["--box", "1,2,30,40", "--inside", "9:3,3"],
-        ["--box", "1,2,30,40", "--inside", "3,3"],
-        ["--box", "1,2,30,40", "--coco", "x.json"],
-        ["--ground-stroke", "3,3"],
-        ["--label-map", "nowhere.png"],
+        (["--box", "1,2,3"], "--box: found 1,2,3; accepted: X0,Y0,X1,Y1"),
+        (["--box", "a,b,c,d"], "--box: found a,b,c,d; accepted: X0,Y0,X1,Y1"),
+        (["--box", "1,2,30,1e9"], "prompt 0: found the box 1, 2, 30, 1e+09; accepted: left, top"),
+        (["--box", "1,2,30,40", "--outside", "1:3,3"], "--outside: found object 1; accepted: K below 1"),
+        (["--outside", "0:3,3"], "--outside: found object 0; accepted: an object of --box, --inside or --prompts"),
+        (["--box", "1,2,30,40", "--inside", "9:3,3"], "--inside: found object 9; accepted: 0 to 1"),
+        (["--box", "1,2,30,40", "--inside", "3,3"], "--inside: found 3,3; accepted: K:X,Y"),
+        (["--box", "1,2,30,40", "--coco", "x.json"], "segment: found --coco and boxes and strokes; accepted: one way"),
+        (["--ground-stroke", "3,3"], "--ground-stroke: found no object; accepted:"),
+        (["--label-map", "nowhere.png"], "nowhere.png: found no such file or directory; accepted: a PNG of 1, 8"),
+        (["--cutouts", "nosuch"], "nosuch: found nothing there; accepted: a folder of photo-sized *.png"),
     ],
 )
-def test_wrong_options_are_one_line(options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_wrong_options_are_one_line(options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = photo_file(tmp_path, painted())
     assert main(["segment", str(file), "-o", str(tmp_path / "out"), *options]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -73,10 +73,24 @@ def test_assets_in_another_unit_come_to_the_depth_of_the_geometry(exact: Scene, 
         o["scale"] = [10 * x for x in o["scale"]]
     poses.write_text(json.dumps(document))
     scene, outcome = assemble(as_given(inputs.read(tmp_path / "input")))
-    assert sum("viewing rays" in d.choice for d in outcome.decisions) == 3
+    moved = [d for d in outcome.decisions if "viewing rays" in d.choice]
+    assert [(d.about, d.fallback) for d in moved] == [(o.id, True) for o in exact]
+    assert all("times the geometry's" in d.reason for d in moved)
     for o in scene:
         assert o.scale == pytest.approx(exact[o.id].scale, rel=0.02)
     assert visible_iou(scene) > 0.98
+
+
+def test_only_a_mesh_at_another_depth_moves_along_its_rays(tmp_path: Path):
+    write_folder(tmp_path / "input")
+    given = as_given(inputs.read(tmp_path / "input"))
+    o, far = given.objects[1], 1.5 * AssembleConfig().max_depth_ratio
+    for factor, told in ((1.0, False), (1.1, False), (far, True), (1 / far, True)):
+        away = o.moved(given.camera.homothety(factor), scale=factor, stage="test", reason="test")
+        scene, outcome = assemble(given.with_objects(*(away if i.id == o.id else i for i in given)))
+        rays = [d for d in outcome.decisions if "viewing rays" in d.choice]
+        assert [(d.about, d.fallback) for d in rays] == [(o.id, True)] * told
+        assert scene[o.id].scale == pytest.approx(o.scale if told else factor * o.scale, rel=0.02)
 
 
 # --- level --------------------------------------------------------------------------------------------------

@@ -327,7 +327,9 @@ def test_sample_writes_packages_that_can_be_read(package: Path, tmp_path: Path, 
 def test_what_cannot_be_sampled_is_one_clear_error(package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for count in ("0", "-3", "100000"):
         assert main(["sample", str(package), "-n", count, "-o", str(tmp_path / "out")]) == 2
-        assert "from 1 to" in capsys.readouterr().err
+        assert f"-n: found {count}; accepted: from 1 to 10,000" in capsys.readouterr().err
+    assert main(["simulate", str(package), "knock over box 2", "--samples", "-3", "--no-film"]) == 2
+    assert "--samples: found -3; accepted: from 1 to" in capsys.readouterr().err
     assert main(["sample", str(package), "--seed", "-1", "-o", str(tmp_path / "out")]) == 2
     assert "seed: found -1" in capsys.readouterr().err
     tree = json.loads((package / "scene.json").read_text())

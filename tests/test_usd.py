@@ -245,6 +245,12 @@ def test_hostile_labels_leave_a_layer_that_opens(label: str, tmp_path: Path) -> 
     assert prim.GetName().endswith("_03") and prim.HasAPI(UsdPhysics.RigidBodyAPI)
 
 
+def test_a_label_keeps_the_spaces_of_its_script(tmp_path: Path) -> None:
+    stage = opened(scene_of(box(3, label="赤い\u3000マグ\xa0x", textured=True)), tmp_path)
+    (prim,) = stage.GetPrimAtPath("/scene/objects").GetChildren()
+    assert prim.GetAttribute("f3sr:label").Get() == "赤い\u3000マグ\xa0x"
+
+
 def test_classes_are_codes_of_wikidata() -> None:
     assert class_of("red  Book") == "Q571" and class_of("") == class_of("gizmo") == PHYSICAL_OBJECT
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from f3sr.errors import require_kind
 from f3sr.pipeline import Reconstruction
 from f3sr.report_page import report_page
 from f3sr.runtime.daemon_thread import begun
@@ -26,6 +27,7 @@ def deliver(
     unchanged. Without ``times`` report.json has no seconds, and equal inputs give equal bytes. Raises OutputError if
     ``out`` holds anything else, or cannot be written.
     """
+    require_kind("result", result, Reconstruction, accepted="f3sr.reconstruct(...)")
     evaluation = result.evaluation
     page = begun(report_page, result)
     with timed("pictures", progress):
@@ -33,7 +35,7 @@ def deliver(
     with timed("package", progress):
         return package.write_package(
             result.scene,
-            Path(out),
+            out,
             direct=result.direct,
             uncertainty=result.uncertainty,
             metrics=evaluation.result.as_dict() if evaluation else {},

@@ -6,6 +6,7 @@ import os
 import traceback
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import cast
 
 LONGEST = 300
 """Most characters of a value or a path in a message."""
@@ -67,10 +68,19 @@ def require_kind(where: str, value: object, *kinds: type, accepted: str) -> None
         raise InputError(where, found=found, accepted=accepted)
 
 
+def require_path(where: str, value: object, *, accepted: str = "a path") -> Path:
+    """An argument that names a file or a folder. Raises InputError for a value of another kind."""
+    require_kind(where, value, str, os.PathLike, accepted=accepted)
+    return Path(os.fspath(cast("str | os.PathLike[str]", value)))
+
+
 def require_names(where: str, names: object) -> None:
-    """Raise InputError if a text is given for a collection of names: its letters would count as names."""
+    """Raise InputError for anything but a collection of names: the letters of a text would count as names."""
     if isinstance(names, str):
         raise InputError(where, found="a text", accepted="a list of names")
+    require_kind(where, names, Collection, accepted="a list of names")
+    if strange := [name for name in cast(Collection[object], names) if not isinstance(name, str)]:
+        raise InputError(where, found=f"{strange[0]!r:.60} in it", accepted="a list of names")
 
 
 def unforeseen(error: Exception, state: str) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 import f3sr
 from f3sr.backends.registry import Backend, BackendError
-from f3sr.errors import F3srError, InputError, OutputError, require_known, require_names
+from f3sr.errors import F3srError, InputError, OutputError, require_kind, require_known, require_names
 from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.protocol import EXPORTERS, Exporter
 from f3sr.files import limited_file
@@ -45,6 +45,7 @@ def export_package(
     ``overwrite``. Equal packages give equal bytes. Raises InputError for an unknown format and F3srError where a format
     needs what is not installed. Raises OutputError if ``out`` may not be written. Then nothing is written.
     """
+    require_kind("package", package, Package, accepted="f3sr.read_package(...)")
     found = exporters_of(formats)
     scene_file = package.folder / SCENE
     exported = ExportedScene.of(
@@ -54,7 +55,7 @@ def export_package(
         date=date_of(scene_file),
     )
     sha = hashlib.sha256(limited_file.read(scene_file, most=MAX_SCENE_BYTES)).hexdigest()
-    place = placed(Path(out))
+    place = placed(out)
     with claimed(place, lambda out: _require_replaceable(out, overwrite=overwrite)) as claim:
         for exporter in found:
             with timed(f"export {exporter.name}", progress):
@@ -82,7 +83,7 @@ def exporters_of(formats: Sequence[str], *, option: str = "formats") -> list[Bac
     require_known(option, formats, EXPORTERS.names())
     found = [EXPORTERS.find(name) for name in sorted(set(formats))]
     for exporter in found:
-        for need in getattr(exporter.made, "needs", list[Any])():
+        for need in exporter.needs():
             if not need.met:
                 raise F3srError(f"the format {exporter.name} needs {need.what}, which is not installed: {need.remedy}")
     return found
@@ -90,7 +91,7 @@ def exporters_of(formats: Sequence[str], *, option: str = "formats") -> list[Bac
 
 def prepare_export(out: str | Path, *, overwrite: bool = False) -> Path:
     """The full path of ``out``, or the OutputError that exporting to it would begin with."""
-    return check(placed(Path(out)), lambda out: _require_replaceable(out, overwrite=overwrite))
+    return check(placed(out), lambda out: _require_replaceable(out, overwrite=overwrite))
 
 
 def beside(package: Path) -> Path:

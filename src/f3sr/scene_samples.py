@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 
@@ -43,8 +44,8 @@ def sample_scenes(
     fall. Raises InputError for a package without uncertainties.
     """
     require_kind("package", package, Package, accepted="f3sr.read_package(...)")
-    if not 1 <= count <= MOST_SAMPLES:
-        raise InputError("count", found=str(count), accepted=f"from 1 to {MOST_SAMPLES:,}")
+    require_count("count", count)
+    require_kind("seed", seed, Integral, accepted="0 or more")
     if seed < 0:
         raise InputError("seed", found=str(seed), accepted="0 or more")
     covariances = {id: np.array(u.conditional) for id, u in package.uncertainty.items()}
@@ -55,6 +56,13 @@ def sample_scenes(
             accepted="a package of `f3sr reconstruct` without --skip uncertainty",
         )
     return _drawn(package, count, seed, covariances, config or SamplingConfig(), progress)
+
+
+def require_count(option: str, count: int) -> None:
+    """Raise InputError, which names the ``option``, for no number of samples."""
+    require_kind(option, count, Integral, accepted=(accepted := f"from 1 to {MOST_SAMPLES:,}"))
+    if not 1 <= count <= MOST_SAMPLES:
+        raise InputError(option, found=str(count), accepted=accepted)
 
 
 def _drawn(

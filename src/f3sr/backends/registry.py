@@ -18,7 +18,7 @@ from typing import Any, Generic, Self, TypeVar, cast
 
 import f3sr
 from f3sr.backends.model_choice import ModelChoice, Need
-from f3sr.errors import F3srError, InputError, one_line, unforeseen
+from f3sr.errors import F3srError, InputError, one_line, require_kind, unforeseen
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -37,6 +37,8 @@ class Backend(Generic[P]):
     version: str
     """Of the package it came with."""
     made: P
+    downloads: bool = False
+    """Whether it may fetch weights that are not here."""
 
     def __str__(self) -> str:
         return f"{self.kind} back end {self.name} {self.version}"
@@ -59,6 +61,20 @@ class Backend(Generic[P]):
             source = b""
         model = self.told.removeprefix(f"{self.name} {self.version}")
         return f"{self.kind} {self.name} {self.version} {hashlib.sha256(source).hexdigest()}{model}"
+
+    def needs(self) -> tuple[Need, ...]:
+        """What it cannot answer without; nothing where the implementation does not tell."""
+        ask: Callable[[], Sequence[Need]] = getattr(self.made, "needs", tuple)
+        return tuple(ask())
+
+    def require_ready(self) -> None:
+        """Raise InputError for the first of its needs that is not met, BackendError where they are unknown.
+
+        How much memory is free changes, and weights may come from the hub where the user allows it."""
+        for need in self.asked(lambda made: self.needs()):
+            if not need.met and need.what != "memory" and not (need.what == "weights" and self.downloads):
+                found = f"{need.what}: {need.found}"
+                raise InputError(f"{self.kind} back end {self.name}", found=found, accepted=need.remedy or need.what)
 
     def telling(self, tell: Callable[[str], None]) -> Self:
         """The same, which tells what it is at, as a place in a queue, where the implementation has ``telling``."""
@@ -106,6 +122,7 @@ class Kind(Generic[P]):
 
         Raises InputError where the name has none or several, BackendError where it cannot be imported or
         constructed, or lacks a method of the Protocol."""
+        require_kind(f"{self.name} back end", spec, str, accepted="a name, as f3sr doctor lists them")
         all_offers = list(self._offers())
         is_name = any(offer.name == spec for offer in all_offers)
         name, _, model = (spec, "", "") if is_name else spec.partition(":")
@@ -128,9 +145,7 @@ class Kind(Generic[P]):
             try:
                 if offer.problem:
                     raise BackendError(offer.problem)
-                made = self.find(offer.name).made
-                ask: Callable[[], Sequence[Need]] = getattr(made, "needs", tuple)
-                needs = tuple(ask())
+                needs = self.find(offer.name).needs()
             except F3srError as error:
                 yield Found(name=offer.name, source=offer.source, problem=str(error))
             except Exception as error:  # others' code may raise anything
@@ -172,7 +187,9 @@ class Kind(Generic[P]):
             raise BackendError(f"{what}: {unforeseen(_plain(error), 'it cannot be loaded')}") from error
         if missing:
             raise BackendError(f"{what}: has no {', '.join(missing)}; accepted: all of {self.protocol.__name__}")
-        return Backend(kind=self.name, name=offer.name, version=offer.version, made=cast(P, made))
+        return Backend(
+            kind=self.name, name=offer.name, version=offer.version, made=cast(P, made), downloads=choice.allow_downloads
+        )
 
     def _missing(self, made: object) -> list[str]:
         """What the Protocol asks for and this has not: a method is something that can be called."""

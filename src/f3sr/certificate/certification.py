@@ -23,7 +23,7 @@ from f3sr.certificate.client_answers import Finding, FindingsAnswer, ReleaseAnsw
 from f3sr.certificate.client_run import ClientOutcome, require_programs, run_client
 from f3sr.certificate.clients_table import CLIENTS, ENGINES, VALIDATORS, Client
 from f3sr.certificate.rest_rule import PASSING, CertificateConfig, Released, judged
-from f3sr.errors import F3srError, InputError, OutputError, require_known
+from f3sr.errors import F3srError, InputError, OutputError, require_kind, require_known, require_names
 from f3sr.exporters.export_names import export_name
 from f3sr.files import limited_file
 from f3sr.goals.scene_layout import SceneLayout
@@ -61,11 +61,13 @@ def certify(
     time [s]. A client that is missing, crashes, hangs or answers nonsense is a row that says so. Raises InputError for
     an unknown name and OutputError if ``out`` may not be written.
     """
+    require_kind("package", package, Package, accepted="f3sr.read_package(...)")
+    require_names("clients", clients)
     require_known("--engines", clients, list(CLIENTS))
     require_programs(programs or {}, list(CLIENTS))
     if not 1 <= deadline <= 86_400:
         raise InputError("--deadline", found=f"{deadline:g}", accepted="1 to 86400 seconds")
-    place = placed(Path(out))
+    place = placed(out)
     with claimed(place, lambda out: _require_replaceable(out, overwrite=overwrite)) as claim:
         certificate = _certificate(
             package, clients, programs or {}, config or CertificateConfig(), deadline=deadline, progress=progress
@@ -84,7 +86,7 @@ def beside(package: Path) -> Path:
 
 def prepare_certificate(out: str | Path, *, overwrite: bool = False) -> Path:
     """The full path of ``out``, or the OutputError that certifying to it would begin with."""
-    place = placed(Path(out))
+    place = placed(out)
     with claimed(place, lambda out: _require_replaceable(out, overwrite=overwrite)):
         return place
 

@@ -30,12 +30,16 @@ def edit(
     from f3sr.cli import console
     from f3sr.cli.reconstruct_command import as_json
     from f3sr.edits import EditSession, read_edits, write_edited
+    from f3sr.edits.unedited import kept_edits
     from f3sr.runtime import kernels
     from f3sr.runtime.atomic_folder import recover
-    from f3sr.scene_package.package_folder import PAGE, prepare_output
+    from f3sr.scene_package.package_folder import PAGE, prepare_output, require_package
 
     recover(package, out)
+    require_package(package)
     given = read_edits(edits) if edits else ()
+    if not given and not kept_edits(package):
+        raise InputError("--edits", found="none, and none in the package", accepted="a list of at least one edit")
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     prepare_output(out, overwrite=overwrite, edits=True)
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
@@ -43,8 +47,6 @@ def edit(
         session = EditSession.open(package, config=chosen, progress=progress)
         for one in given:
             session.add(one, progress=progress)
-        if len(session.outcomes) == 1:
-            raise InputError("--edits", found="none, and none in the package", accepted="a list of at least one edit")
         written = write_edited(session, out, overwrite=overwrite, progress=progress)
     before, now = session.outcomes[0].measures.as_dict(), session.outcome.measures.as_dict()
     columns = {"before": before, "edited": now}

@@ -165,9 +165,10 @@ class _Samples:
     @classmethod
     def of(cls, content: Package, count: int) -> _Samples:
         """Raises InputError at once where no samples can be drawn."""
-        from f3sr.scene_samples import sample_scenes
+        from f3sr.scene_samples import require_count, sample_scenes
 
         if count:
+            require_count("--samples", count)
             sample_scenes(content, count)
         return cls(content, count)
 

@@ -94,9 +94,10 @@ def photo(
     """
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
-    from f3sr.edits.edit_list import read_edits
+    from f3sr.cli.run_request import requested
     from f3sr.scene_package.package import PAGE
     from f3sr.scene_package.package_folder import prepare_output
+    from f3sr.segmentation.input_folder_writer import read_photo
     from f3sr.web.browser import shown_in_browser
 
     given = photo.is_dir()
@@ -105,11 +106,24 @@ def photo(
     drawing = {"--segment": segment, "--ground-segmenter": ground_segmenter, "--box": box, "--segmenter": segmenter}
     if given and (option := next((name for name, value in drawing.items() if value), None)):
         raise InputError(option, found=f"the folder {photo.name}, which has masks", accepted="a photo")
-    if edits:
-        read_edits(edits)  # before anything is drawn
+    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads, axes=normals_axes)
+    request = requested(
+        choice=choice,
+        geometry=geometry,
+        normals=normals,
+        assets=assets,
+        background=background,
+        focal=focal,
+        focal_35mm=focal_35mm,
+        camera_height=camera_height,
+        known=known,
+        config=config,
+        edits=edits,
+    )
     package = prepare_output(package, inputs=folder, overwrite=overwrite, edits=edits is not None)
     if not given:
-        choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
+        request.require_ready()
+        request.hints.known_focal(read_photo(photo))
         _outlined(photo, folder, box, segment, segmenter, ground_segmenter, choice, open=open, json=json)
     reconstruct(
         folder,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json as json_
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 from f3sr import options
 from f3sr.cli.arguments import (
@@ -27,12 +26,6 @@ from f3sr.cli.arguments import (
 )
 from f3sr.errors import InputError, require_known
 from f3sr.runtime.kept_imports import kept_imports
-
-if TYPE_CHECKING:
-    from f3sr.backends.model_choice import ModelChoice
-    from f3sr.backends.registry import Backend, Kind
-
-P = TypeVar("P")
 
 
 def reconstruct(
@@ -102,18 +95,13 @@ def reconstruct(
         json: Print one JSON object instead of text.
     """
     with kept_imports():
-        from f3sr import pipeline, scene_export, settings
-        from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
+        from f3sr import pipeline, scene_export
         from f3sr.backends.model_choice import ModelChoice
-        from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
         from f3sr.cli import console
+        from f3sr.cli.run_request import requested
         from f3sr.delivery import deliver
-        from f3sr.edits import deliver_edited, read_edits
+        from f3sr.edits import deliver_edited
         from f3sr.io.input_folder import INPUT_FOLDER
-        from f3sr.io.inputs import Fillers
-        from f3sr.io.photo_hints import PhotoHints, known_of
-        from f3sr.lifting.generators import ASSET_GENERATORS
-        from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
         from f3sr.photo_inputs import read_inputs
         from f3sr.runtime import atomic_folder, kernels
         from f3sr.runtime.progress import timed, words_to
@@ -126,20 +114,21 @@ def reconstruct(
         scene_export.prepare_export(scene_export.beside(out), overwrite=overwrite)
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
-    wanted = read_edits(edits) if edits else None
-    chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
-    if normals_axes and normals is None:
-        raise InputError("--normals-axes", found=normals_axes, accepted="together with --normals")
-    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads, axes=normals_axes)
-    fillers = Fillers(
-        geometry=_backend(GEOMETRY_ESTIMATORS, geometry, choice),
-        normals=_backend(NORMAL_ESTIMATORS, normals, choice),
-        assets=_backend(ASSET_GENERATORS, assets, choice),
-        scene_graph=_backend(SCENE_GRAPHERS, scene_graph, choice),
-        labels=_backend(LABELERS, labels, choice),
+    request = requested(
+        choice=ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads, axes=normals_axes),
+        geometry=geometry,
+        normals=normals,
+        assets=assets,
+        scene_graph=scene_graph,
+        labels=labels,
+        background=background,
+        focal=focal,
+        focal_35mm=focal_35mm,
+        camera_height=camera_height,
+        known=known,
+        config=config,
+        edits=edits,
     )
-    hints = PhotoHints(focal=focal, focal_35mm=focal_35mm, camera_height=camera_height, known=known_of(known))
-    completer = _backend(BACKGROUND_COMPLETERS, background, choice) if background != DEFAULT_COMPLETER else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
             given = read_inputs(
@@ -148,19 +137,24 @@ def reconstruct(
                 asset_frame=asset_frame,
                 geometry_noise=geometry_noise,
                 mask_overlap=mask_overlap,
-                fillers=fillers.telling(words_to(progress)),
-                hints=hints,
+                fillers=request.fillers.telling(words_to(progress)),
+                hints=request.hints,
             )
-        package.prepare_output(out, inputs=folder, overwrite=overwrite, edits=wanted is not None)
+        package.prepare_output(out, inputs=folder, overwrite=overwrite, edits=request.edits is not None)
         compilers.begin(progress)
         result = pipeline.reconstruct(
-            given, chosen, skip=names_in(skip), background=completer, store=Store.default(), progress=progress
+            given,
+            request.config,
+            skip=names_in(skip),
+            background=request.background,
+            store=Store.default(),
+            progress=progress,
         )
         reports, columns = list(result.reports), columns_of(result.evaluation)
-        if wanted is None:
+        if request.edits is None:
             written = deliver(result, out, overwrite=overwrite, progress=progress)
         else:
-            written, session = deliver_edited(result, wanted, out, overwrite=overwrite, progress=progress)
+            written, session = deliver_edited(result, request.edits, out, overwrite=overwrite, progress=progress)
             reports.append(session.report)
             columns["edited"] = session.outcome.measures.as_dict()
         exported = None
@@ -178,24 +172,6 @@ def reconstruct(
     console.say(f"report:   {written / package.PAGE}")
     if exported:
         console.say(f"export:   {exported}")
-
-
-def _backend(kind: Kind[P], name: str | None, choice: ModelChoice) -> Backend[P] | None:
-    """The back end of a name, or of a model's spec as ``openai:NAME``, where a model can do that."""
-    if name is None:
-        return None
-    if name.partition(":")[0] not in ("openai", "anthropic"):
-        return kind.find(name, choice)
-    from f3sr.agents import image_edit, photo_reader
-
-    makers: dict[str, Callable[[str], Any]] = {
-        "scene_graph": photo_reader.scene_grapher,
-        "labels": photo_reader.labeler,
-        "background": image_edit.image_edit,
-    }
-    if kind.name not in makers:
-        raise InputError(f"--{kind.name}", found=name, accepted=f"a back end: {', '.join(kind.names()) or 'none yet'}")
-    return makers[kind.name](name)
 
 
 def names_in(text: str) -> list[str]:

@@ -43,9 +43,10 @@ def sample(
     from f3sr.scene_package.package import read_package
     from f3sr.scene_package.package_folder import placed
     from f3sr.scene_package.scene_json import dump_json
-    from f3sr.scene_samples import sample_scenes
+    from f3sr.scene_samples import require_count, sample_scenes
     from f3sr.uncertainty.sampling import Sample
 
+    require_count("-n", count)
     recover(*(place for place in (package, out) if place))
     content = read_package(package)
     whole = Path(package).absolute()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from f3sr.cli.arguments import DeviceName, MaybeFile, Name, PrecisionName, default_shown
-from f3sr.errors import F3srError, InputError, require_known
+from f3sr.errors import F3srError, InputError
 
 if TYPE_CHECKING:
     from f3sr.backends.model_choice import ModelChoice
@@ -82,7 +82,12 @@ def segment(
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
     from f3sr.scene_package.package_folder import placed
-    from f3sr.segmentation.input_folder_writer import OutlinedObject, read_photo, write_input_folder
+    from f3sr.segmentation.input_folder_writer import (
+        OutlinedObject,
+        read_photo,
+        require_writable,
+        write_input_folder,
+    )
     from f3sr.segmentation.named_objects import with_ground
     from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, GROUND_SEGMENTERS, SEGMENTERS
     from f3sr.segmentation.selection import outlined, told_apart
@@ -109,7 +114,7 @@ def segment(
             raise F3srError(mask_page.NOTHING_SAVED)
         print(json_.dumps({"folder": str(saved)}) if json else f"folder:   {saved}")
         return
-    picture, folder = read_photo(photo), placed(out)
+    picture, folder = read_photo(photo), require_writable(placed(out))
     selection, told = _selection(prompts, box, inside, outside, ground_stroke), ()
     named = _named(picture, segment, selection, choice) if segment else None
     if named:
@@ -210,7 +215,13 @@ def _selection(
         raise InputError("--inside", found=f"object {last}", accepted=f"0 to {len(found)}")
     found += [Prompt()] * (last + 1 - len(found))
     for (number, stroke), on in strokes:
-        require_known("--outside", [str(number)], [str(k) for k in range(len(found))])
+        if number >= len(found):
+            few = (
+                f"K below {len(found)}, as objects count from 0"
+                if found
+                else "an object of --box, --inside or --prompts"
+            )
+            raise InputError("--outside", found=f"object {number}", accepted=few)
         p = found[number]
         found[number] = replace(p, inside=(*p.inside, stroke)) if on else replace(p, outside=(*p.outside, stroke))
     below = tuple(_stroke("--ground-stroke", text) for text in ground)

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, require_path
 from f3sr.files import strict_json
 from f3sr.files.bounds import (
     MAX_DENSITY,
@@ -160,7 +160,7 @@ class EditList(BaseModel):
 def read_edits(file: Path) -> tuple[Edit, ...]:
     """The edits of a file, in order. Raises InputError naming the file, what was found and what is accepted."""
     accepted = f"a list of edits, version {VERSION} ({PAGE})"
-    tree = strict_json.read(Path(file), most=MAX_EDITS_BYTES, accepted=accepted)
+    tree = strict_json.read(require_path("file", file), most=MAX_EDITS_BYTES, accepted=accepted)
     try:
         return EditList.model_validate(tree).edits
     except ValidationError as error:

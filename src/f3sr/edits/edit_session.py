@@ -12,7 +12,7 @@ from f3sr.edits.applying import Applied, apply_edit, refused
 from f3sr.edits.edit_list import MAX_EDITS, Edit
 from f3sr.edits.landing import Effort, editing
 from f3sr.edits.unedited import Unedited, read_edited
-from f3sr.errors import InputError, OutputError, require_kind
+from f3sr.errors import InputError, OutputError, require_kind, require_path
 from f3sr.metrics.measures import Details, Measures, MeshMeasures, measure_with_details
 from f3sr.options import EDIT
 from f3sr.pipeline_config import Config
@@ -79,7 +79,7 @@ class EditSession:
     @classmethod
     def open(cls, folder: str | Path, *, config: Config | None = None, progress: Progress = silent) -> Self:
         """The session of a package folder: one that was edited goes on with its list. Raises InputError."""
-        base, edits = read_edited(Path(folder))
+        base, edits = read_edited(require_path("folder", folder))
         return cls(base, edits, config=config, progress=progress)
 
     @property

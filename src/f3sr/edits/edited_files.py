@@ -15,6 +15,7 @@ from f3sr.delivery import deliver
 from f3sr.edits.edit_list import Edit, edits_digest, edits_json
 from f3sr.edits.edit_session import EditSession
 from f3sr.edits.unedited import BEHIND
+from f3sr.errors import require_kind
 from f3sr.options import EDIT
 from f3sr.pipeline import Reconstruction
 from f3sr.report import Measure, Outcome
@@ -47,7 +48,8 @@ def write_edited(
     """Write the edited package to ``out``, which may be the session's own folder, and return the folder's full path.
 
     Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``."""
-    folder = placed(Path(out))
+    require_kind("session", session, EditSession, accepted="f3sr.EditSession(...)")
+    folder = placed(out)
     with (
         timed("package", progress),
         claimed(folder, lambda folder: require_replaceable(folder, overwrite=overwrite, edits=True)) as claim,

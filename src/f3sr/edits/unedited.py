@@ -61,7 +61,12 @@ def read_edited(folder: Path) -> tuple[Package, tuple[Edit, ...]]:
     package = read_package(folder)
     if not (folder / EDITS).exists():
         return package, ()
-    return read_package(inside(folder, UNEDITED)), read_edits(inside(folder, EDITS))
+    return read_package(inside(folder, UNEDITED)), kept_edits(folder)
+
+
+def kept_edits(folder: Path) -> tuple[Edit, ...]:
+    """The edits of a package's folder, as far as it has any. Raises InputError."""
+    return read_edits(inside(folder, EDITS)) if (folder / EDITS).exists() else ()
 
 
 def _report(file: Path, data: bytes | None) -> Mapping[str, Any]:

@@ -17,6 +17,8 @@ Observed = Literal["state", "pictures", "both"]
 Reward = Literal["success", "margin"]
 LONGEST_EPISODE = 600
 """[s]"""
+REAL = "biuf"
+"""Kinds of NumPy's real numbers."""
 SIZES = (16, 4096)
 """Least and most pixels of a picture's longer side, as of films."""
 
@@ -65,14 +67,21 @@ def require_scene(options: Any, drawn: int, scenes: int) -> int:
 
 
 def require_action(action: Any, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
-    """An action as numbers; InputError if it has another shape or is not finite."""
+    """An action as numbers; InputError if it has another shape, is not finite, or is complex or text."""
     try:
-        numbers = np.asarray(action, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.shape != shape or not np.isfinite(numbers).all():
+        given = np.asarray(action)
+    except (TypeError, ValueError):  # of several lengths
+        given = np.empty(0)
+    if given.shape != shape or given.dtype.kind not in REAL or not np.isfinite(given).all():
         raise InputError("action", found=f"{action!r}", accepted=f"finite values of shape {shape}")
-    return numbers
+    return given.astype(np.float64)
+
+
+def require_within(name: str, value: Any, span: tuple[float, float], unit: str) -> None:
+    """Raise InputError unless an argument is a number of a range."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not (is_number and span[0] <= value <= span[1]):
+        raise InputError(name, found=repr(value), accepted=f"{span[0]:g} to {span[1]:g} {unit}")
 
 
 def _require_one_of(name: str, value: Any, known: Sequence[Any]) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, require_path
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.scene import Scene
 from f3sr.scene_package.package import Package, read_package
@@ -61,7 +61,7 @@ def bank_of(package: Package, samples: str | Path | None) -> tuple[Scene, ...]:
     Raises InputError for a folder without packages or with more than ``MAX_BANK``, and for samples of another scene."""
     if samples is None:
         return (package.scene,)
-    folder = Path(samples)
+    folder = require_path("samples", samples)
     found = sorted(f.parent for f in folder.glob("*/scene.json")) if folder.is_dir() else []
     if not found:
         raise InputError(folder, found="no package in it", accepted="a folder that `f3sr sample PACKAGE -o` wrote")

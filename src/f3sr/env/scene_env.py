@@ -28,6 +28,7 @@ from f3sr.env.episode_pictures import EpisodePictures
 from f3sr.env.goal_progress import GoalProgress, task_of
 from f3sr.env.gripper import GripperConfig
 from f3sr.env.resets import Randomization, ResetDraw, bank_of, draw
+from f3sr.errors import require_path
 from f3sr.files.bounds import FARTHEST
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, build_spec, engine
 from f3sr.physics.mujoco_scene import MujocoScene
@@ -115,7 +116,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
             longest=longest,
             render_mode=render_mode,
         )
-        self.package = package if isinstance(package, Package) else read_package(Path(package))
+        self.package = package if isinstance(package, Package) else read_package(require_path("package", package))
         self.render_mode, self.goal = render_mode, goal
         self.task = task_of(self.package.scene, goal) if goal else None
         self._conditions = self.task.conditions if self.task else ()
@@ -129,7 +130,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
         self._pictures = EpisodePictures(self.package, longest, config)
         self.action_space: spaces.Space[Any] = self._stage.controller.space
         self.observation_space: spaces.Space[Any] = spaces.Dict(self._spaces())
-        self._taken = self._steps  # no episode goes on before the first reset
+        self._taken, self._ended = 0, True  # no episode goes on before the first reset
         self._progress = self._progress_of(self._stage)
         self._potential = 0.0
         EzPickle.__init__(
@@ -169,7 +170,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
         super().reset(seed=seed)
         drawn = draw(self.np_random, len(self._stages), len(self.package.scene.objects), self._randomization)
         index = require_scene(options, drawn.scene, len(self._stages))
-        self._stage, self._taken = self._stages[index], 0
+        self._stage, self._taken, self._ended = self._stages[index], 0, False
         self._stage.start(drawn)
         if self.pictures_wanted:
             self._pictures.vary(self.np_random, self._randomization)
@@ -180,9 +181,9 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Act for 50 ms. Raises InputError for an action of another shape or that is not finite, and Gymnasium's
-        ResetNeeded before the first reset and after the end of an episode's time."""
+        ResetNeeded before the first reset and after the end of an episode."""
         commanded = require_action(action, self.action_space.shape)
-        if self._taken >= self._steps:
+        if self._ended:
             raise ResetNeeded("no episode goes on: reset() begins the next one")
         mujoco, play, controller = engine(), self.playable, self.controller
         model, data = play.model, play.data
@@ -199,8 +200,10 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
             before, self._potential = self._potential, self._margin()
             reward += self._potential - before
         lost = not (np.abs(data.qpos) < FARTHEST).all() or not (np.abs(data.qvel) < FARTHEST).all()
+        terminated, truncated = met or lost, self._taken >= self._steps
+        self._ended = terminated or truncated
         info = {"success": met, "time": float(data.time)}
-        return self._observation(), reward, met or lost, self._taken >= self._steps, info
+        return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The photo's view now (h, w, 3), the gripper included."""

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from f3sr.core.mesh import area_vectors
 from f3sr.core.transforms import UP, Array, quaternion_from_rotation, rotation_about, transform
+from f3sr.env.controllers import AROUND
+from f3sr.env.environment_arguments import LONGEST_EPISODE, require_within
 from f3sr.env.gripper import APPROACH, GripperConfig
 from f3sr.errors import InputError
 from f3sr.physics.mujoco_model import body_of
@@ -27,6 +29,8 @@ LEVELS = 5
 """Heights that are looked at, from the lowest that the floor allows to the top."""
 OVER = 0.12
 """Height of the hand over the object before and after [m]."""
+RATES = (1, 1000)
+"""Least and most actions a second."""
 SETTLE, SQUEEZE = 0.2, 0.4
 """Pauses before and while the fingers close [s]."""
 
@@ -128,12 +132,22 @@ def pick(
     scene: Scene, id: int, config: GripperConfig, *, rate: int, lift: float = 0.1, hold: float = 1.0
 ) -> Iterator[Array]:
     """Actions (8,) of an environment with ``control="pose"``, ``rate`` a second: over the object, down, close, up by
-    ``lift`` [m], and hold for ``hold`` [s]. Raises InputError for an unknown id and where no grasp fits."""
+    ``lift`` [m], and hold for ``hold`` [s]. Raises InputError at once for an unknown id, where no grasp fits, and for
+    numbers that the hand or an episode has no room for."""
+    require_within("rate", rate, RATES, "actions a second")
+    require_within("hold", hold, (0, LONGEST_EPISODE), "s")
     grasp = grasp_of(scene, id, config)
     if grasp is None:
         raise InputError("grasp", found=f"no place on object {id} for the gripper", accepted="a narrower, freer object")
-    top = max(float(o.bounds_world[:, 2].max()) for o in scene) + config.pad[2] / 2
-    over = np.array([*grasp.place[:2], max(grasp.place[2] + OVER, top + OVER / 4)])
+    top = max(float(o.bounds_world[:, 2].max()) for o in scene)
+    highest = round(top + AROUND - float(grasp.place[2]), 3)
+    require_within("lift", lift, (0, highest), f"m: no higher does the hand go, {AROUND:g} m above all objects")
+    return _picking(grasp, top, config, rate, lift, hold)
+
+
+def _picking(grasp: Grasp, top: float, config: GripperConfig, rate: int, lift: float, hold: float) -> Iterator[Array]:
+    """The same for a grasp; ``top`` is the height of the highest object [m]."""
+    over = np.array([*grasp.place[:2], max(grasp.place[2] + OVER, top + config.pad[2] / 2 + OVER / 4)])
     raised = grasp.place + lift * UP
     closed = max(0.0, grasp.width - 0.02)
 

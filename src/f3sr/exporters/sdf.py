@@ -14,8 +14,8 @@ import numpy as np
 import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
-from f3sr.errors import printable
 from f3sr.exporters.drake_contact import depth_of, drake_contact
+from f3sr.exporters.export_names import export_text
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.mjcf_view import LAMP
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
@@ -94,7 +94,7 @@ def _config(o: ExportedObject) -> bytes:
     _add(root, "version", "1.0")
     ET.SubElement(root, "sdf", version=VERSION).text = "model.sdf"
     _add(ET.SubElement(root, "author"), "name", f"f3sr {f3sr.__version__}")
-    _add(root, "description", f"object {o.id}: {printable(o.label) or 'no label'}")
+    _add(root, "description", f"object {o.id}: {export_text(o.label) or 'no label'}")
     return document(root, declared=True)
 
 

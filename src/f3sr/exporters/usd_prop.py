@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import f3sr
-from f3sr.errors import printable
+from f3sr.exporters.export_names import export_text
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.usd_library import Material, Prim, Stage, new_stage, pxr, text_of
@@ -93,7 +93,7 @@ def _set_body(root: Prim, o: ExportedObject) -> None:
 def _label(prim: Prim, taxonomy: str, text: str) -> None:
     """A semantic label of a prim."""
     labels = pxr().UsdSemantics.LabelsAPI.Apply(prim, taxonomy)
-    labels.CreateLabelsAttr([printable(text) or "unknown"])
+    labels.CreateLabelsAttr([export_text(text) or "unknown"])
 
 
 def _metadata(o: ExportedObject, exported: ExportedScene) -> dict[str, Any]:
@@ -104,7 +104,7 @@ def _metadata(o: ExportedObject, exported: ExportedScene) -> dict[str, Any]:
         "asset_name": o.name,
         "asset_type": "prop",
         "asset_license": UNKNOWN_LICENSE,
-        "category": printable(o.label) or "object",
+        "category": export_text(o.label) or "object",
         "source_file": exported.mesh_files.get(o.id, "unknown"),
         "usd_date_generated": exported.date or "unknown",
         "qcode": class_of(o.label),
@@ -116,11 +116,11 @@ def _metadata(o: ExportedObject, exported: ExportedScene) -> dict[str, Any]:
     }
     own = {
         "id": str(o.id),
-        "label": printable(o.label),
+        "label": export_text(o.label),
         "density": float(o.object.density),
-        "material": printable(o.object.material),
+        "material": export_text(o.object.material),
         "material_source": o.object.material_source,
-        "material_reason": printable(o.object.material_reason),
+        "material_reason": export_text(o.object.material_reason),
         "rolling_friction": float(o.object.rolling_friction),
         "damping": float(o.object.damping),
         "mass_from": "mesh" if o.body.from_mesh else "proxies",

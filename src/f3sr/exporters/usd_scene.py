@@ -10,7 +10,7 @@ import numpy as np
 import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners, quaternion_from_rotation
-from f3sr.errors import printable
+from f3sr.exporters.export_names import export_text
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.usd_library import Layer, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_unlit_surface
@@ -95,7 +95,7 @@ def _add_object(stage: Stage, o: ExportedObject, exported: ExportedScene) -> Non
     if o.body.fixed:
         usd.UsdPhysics.RigidBodyAPI(prim).CreateRigidBodyEnabledAttr(False)
     prim.CreateAttribute("f3sr:id", types.Int, custom=True).Set(o.id)
-    prim.CreateAttribute("f3sr:label", types.String, custom=True).Set(printable(o.label))
+    prim.CreateAttribute("f3sr:label", types.String, custom=True).Set(export_text(o.label))
     carriers = [_path(exported, s.id) for s in o.object.supports]
     prim.CreateRelationship("f3sr:restsOn", custom=True).SetTargets(carriers)
     shares = [float(s.share) for s in o.object.supports]

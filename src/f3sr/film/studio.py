@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from f3sr.background import complete_background
 from f3sr.core.resampling import resample
 from f3sr.core.transforms import transform
+from f3sr.errors import require_kind
 from f3sr.film import make_film
 from f3sr.film.deadband import Held
 from f3sr.io.images import resized
@@ -74,6 +75,7 @@ class Studio:
 
         Raises InputError if a film file of the package is damaged or has another size than the photo.
         """
+        require_kind("package", package, Package, accepted="f3sr.read_package(...)")
         config = config or FilmConfig()
         shown = PackagePictures.of(package, config.longest)
         scene, told = shown.scene, shown.told
@@ -85,6 +87,7 @@ class Studio:
 
     def film(self, played: Played) -> Filmed:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
+        require_kind("played", played, Played, accepted="a played goal, no refusal")
         slow = Fraction(self.config.slow).limit_denominator(1000)
         frames = FilmFrames(self, self.moving(played))
 

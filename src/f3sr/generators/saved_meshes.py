@@ -37,7 +37,11 @@ class SavedMeshes:
         del geometry, K
         if (folder := self.folder) is None:
             raise InputError("assets back end saved", found="no folder", accepted=f"saved:DIR with {ONE_EACH}")
-        names = [name for name in InputFolder(folder).names() if Path(name).suffix.lower() in SUFFIXES]
+        names = [
+            name
+            for name in InputFolder(folder, accepted=f"a folder with {ONE_EACH}").names()
+            if Path(name).suffix.lower() in SUFFIXES
+        ]
         wanted = {f"{i.id:02d}{suffix}" for i in image.instances for suffix in SUFFIXES}
         if extra := sorted(set(names) - wanted):
             raise InputError(folder / extra[0], found="a file of no mask", accepted=ONE_EACH)

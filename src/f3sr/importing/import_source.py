@@ -99,7 +99,7 @@ def masks_of_folder(folder: Path) -> MaskReader:
     """Reads a folder of one black and white PNG per object, named as in masks/ of an input folder."""
 
     def read(photo: SourcePhoto) -> Masks:
-        source = InputFolder(folder)
+        source = InputFolder(folder, accepted="a folder of *.png files, a mask per object")
         names = source.names()
         if strange := [name for name in names if not name.endswith(".png")]:
             raise InputError(folder, found=strange[0], accepted="nothing but *.png files, a mask each")

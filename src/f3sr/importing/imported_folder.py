@@ -2,57 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
-import os
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
-from f3sr.errors import InputError, OutputError
-from f3sr.files import strict_json
 from f3sr.importing.composition import ComposedObject, Composition, DrawnView, LeftOut
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.images import encode_png
 from f3sr.io.masks import MIN_PIXELS
 from f3sr.io.sam3d import LOCAL_FROM_GLB, OPENCV_FROM_PYTORCH3D
-from f3sr.runtime.atomic_folder import Claim, claimed
+from f3sr.runtime.unchanged_folder import FolderNote
 from f3sr.segmentation.input_folder_writer import PNG, mask_name
 
 NOTE = "import.json"
 """Says where a folder came from and what was written; only folders that have it are replaced."""
-LARGEST_NOTE = 4_000_000
-"""Bytes of it that are read: 10,000 files take 1,000,000."""
-
-
-@dataclass(eq=False)
-class ImportedFolder:
-    """An input folder being written. Its note keeps the SHA-256 of every file: what was changed since is not lost."""
-
-    claim: Claim
-    files: dict[str, str] = field(default_factory=dict[str, str])
-
-    def write(self, name: str, data: bytes) -> None:
-        self.claim.write(name, data)
-        self.files[name] = hashlib.sha256(data).hexdigest()
-
-    def end(self, note: Mapping[str, object]) -> None:
-        """Write the note, and put the folder into its place."""
-        self.claim.write(NOTE, as_json({**note, "files": self.files}))
-        self.claim.replace()
-
-
-@contextmanager
-def importing(out: Path) -> Generator[ImportedFolder]:
-    """The right to write the folder ``out``, a full path. Raises OutputError where it is not an unchanged import."""
-    with claimed(out, _require_own) as claim:
-        yield ImportedFolder(claim)
+IMPORTED = FolderNote(name=NOTE, writer="f3sr import")
 
 
 def write_imported(out: Path, composition: Composition, view: DrawnView) -> Path:
@@ -60,7 +29,7 @@ def write_imported(out: Path, composition: Composition, view: DrawnView) -> Path
 
     Geometry only of an upright world: elsewhere the photo must tell gravity and the ground, and K alone is written."""
     full = Path(out).absolute().resolve()
-    with importing(full) as folder:
+    with IMPORTED.writing(full) as folder:
         folder.write(photo_name(view.photo), view.photo)
         seen = [o for o in composition.objects if o.id in view.masks]
         hidden = [o for o in composition.objects if o.id not in view.masks]
@@ -82,7 +51,7 @@ def write_imported(out: Path, composition: Composition, view: DrawnView) -> Path
         relations = [{"upper": upper, "lower": lower, "reason": reason} for upper, lower in pairs]
         if relations:
             folder.write("scene_graph.json", as_json({"support_relations": relations}))
-        folder.end(_note(composition, hidden))
+        folder.end(lambda files: as_json({**_note(composition, hidden), "files": files}))
     return full
 
 
@@ -150,38 +119,3 @@ def grey(mask: NDArray[np.bool_]) -> bytes:
 def as_json(value: object) -> bytes:
     """A value as a JSON file."""
     return json.dumps(value, indent=1, allow_nan=False).encode()
-
-
-def _require_own(out: Path) -> None:
-    """Raises OutputError unless there is nothing, or what f3sr imported, as it was written."""
-    if not os.path.lexists(out) or (out.is_dir() and not any(out.iterdir())):
-        return
-    written = _written(out / NOTE) if out.is_dir() else None
-    if written is None:
-        accepted = "a new or empty folder, or one that f3sr import wrote"
-        raise OutputError(f"{out}: found something else; accepted: {accepted}")
-    there = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_symlink() or not p.is_dir()} - {NOTE}
-    if strangers := sorted(there - written.keys()):
-        raise OutputError(f"{out}: holds {strangers[0]}, which f3sr import did not write; move it away first")
-    for name, digest in written.items():
-        if name not in there or _digest(out / name) != digest:
-            raise OutputError(f"{out}: {name} was changed or removed since f3sr import wrote it; give another folder")
-
-
-def _written(note: Path) -> dict[str, str] | None:
-    """SHA-256 of the files that a note tells of, by name; None where it is none of this version."""
-    if note.is_symlink() or not note.is_file():
-        return None
-    try:
-        tree = strict_json.read(note, most=LARGEST_NOTE, accepted="what f3sr import wrote")
-    except InputError:
-        return None
-    files = tree.get("files") if isinstance(tree, dict) else None
-    return {str(name): str(digest) for name, digest in files.items()} if isinstance(files, dict) else None
-
-
-def _digest(file: Path) -> str:
-    if file.is_symlink() or not file.is_file():
-        return ""
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()

@@ -15,7 +15,7 @@ from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes
 from f3sr.importing.import_source import ImportSource, Masks
-from f3sr.importing.imported_folder import as_json, grey, importing, photo_name
+from f3sr.importing.imported_folder import IMPORTED, as_json, grey, photo_name
 from f3sr.importing.lens_by_poses import fitted_focal
 from f3sr.importing.mesh_matching import matched
 from f3sr.io.gltf_writer import mesh_to_glb
@@ -96,7 +96,7 @@ def _apart(photo: Photo, masks: Masks) -> tuple[dict[int, NDArray[np.bool_]], ND
 def write_masked_meshes(out: Path, given: MaskedMeshes) -> Path:
     """Write photo, masks, meshes and what is known of each; returns the full path. Raises OutputError."""
     full = Path(out).absolute().resolve()
-    with importing(full) as folder:
+    with IMPORTED.writing(full) as folder:
         folder.write(photo_name(given.photo), given.photo)
         for id, mask in given.masks.items():
             folder.write(f"masks/{mask_name(id, given.labels[id])}", grey(mask))
@@ -115,7 +115,7 @@ def write_masked_meshes(out: Path, given: MaskedMeshes) -> Path:
             "poses": "given, to be read by the masks" if given.has_poses else "none: found by the masks",
             "remarks": list(given.remarks),
         }
-        folder.end(note)
+        folder.end(lambda files: as_json({**note, "files": files}))
     return full
 
 

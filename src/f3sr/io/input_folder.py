@@ -29,13 +29,13 @@ class InputFolder:
     ``digests`` has the sha256 of every file read, by its path relative to ``root``; ``decisions`` are for the user.
     Raises InputError for a root that is no readable folder."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, *, accepted: str = INPUT_FOLDER) -> None:
         try:
             if not root.is_dir():
-                raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=INPUT_FOLDER)
+                raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=accepted)
             next(root.iterdir(), None)
         except (OSError, ValueError) as error:
-            raise InputError(root, found=reason(error), accepted=INPUT_FOLDER) from error
+            raise InputError(root, found=reason(error), accepted=accepted) from error
         self.root = root
         self.decisions: list[Decision] = []
         self.digests: dict[str, str] = {}

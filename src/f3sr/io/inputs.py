@@ -24,7 +24,7 @@ from f3sr.backends.protocols import (
 )
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
-from f3sr.errors import InputError, NoAnswerError, require_known, require_names
+from f3sr.errors import InputError, NoAnswerError, require_known, require_names, require_path
 from f3sr.io.answers import (
     MAX_REASON,
     MAX_RELATIONS,
@@ -161,7 +161,7 @@ def read(
     require_names("ignore", ignore)
     require_known("--ignore", ignore, PARTS)
     require_asset_frame("--asset-frame", asset_frame)
-    source = InputFolder(Path(folder))
+    source = InputFolder(require_path("folder", folder))
     photo, told = _photo(source)
     instances = read_instances(source, photo, overlap=mask_overlap)
     parts = _Parts(

@@ -43,8 +43,10 @@ def serve(
 
     The page begins with what an earlier run saved there. ``after`` says in a sentence what follows on Save; without it
     the page names the command that goes on. ``tell`` gets the page's address. Returns the folder's full path, or None
-    where nothing was saved. Raises InputError for the photo, OutputError where ``out`` may not be written.
+    where nothing was saved. Raises InputError for the photo, and for a back end that lacks something, OutputError where
+    ``out`` may not be written.
     """
+    segmenter.require_ready()
     folder = require_writable(out)
     drawing = Drawing(
         photo=read_photo(photo),

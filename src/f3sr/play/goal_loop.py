@@ -56,6 +56,7 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
     Raises PlanError if an answer of it cannot be played, InputError for anything but a package or a damaged one.
     """
     _require_package(package)
+    require_kind("goal", goal, str, accepted="words, as `f3sr goals PACKAGE` lists them")
     language, scene = language or Rules(), replace(package.scene, ground_mask=package.support())
     found, ends, rollouts = list[Tried](), list[Scene](), 0
     phases = list[Phase]()
@@ -90,6 +91,7 @@ def _of_phase(refusal: Refusal, played: int) -> Refusal:
 def replay_plan(package: Package, plan: Plan) -> Played:
     """Play a plan again: the same rollout, to the byte. Raises PlanError if the plan does not fit the package."""
     _require_package(package)
+    require_kind("plan", plan, Plan, accepted="the plan of a played goal")
     if plan.scene != scene_sha(package):
         raise checks.PlanError(
             f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import InputError, OutputError, require_kind
 from f3sr.files import limited_file
 from f3sr.files.limited_file import MAX_JSON_BYTES
 from f3sr.goals import checks, verify
@@ -43,6 +43,7 @@ def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
 
     Raises OutputError if ``out`` holds anything else, or an older rollout without ``overwrite``.
     """
+    require_kind("played", played, Played, accepted="a played goal, no refusal")
     return _written(played, placed(out, rollout=True), lambda out: _require_replaceable(out, overwrite))
 
 

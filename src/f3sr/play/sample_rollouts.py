@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from f3sr.errors import require_kind
 from f3sr.goals.plan import Phase, Plan, Semantics
 from f3sr.goals.sequence import simulate
 from f3sr.goals.verify import Verdict, verify
@@ -38,7 +39,8 @@ class SuccessRate:
 
 
 def success_rate(plan: Plan, scenes: Iterable[Scene]) -> SuccessRate:
-    """Play a plan, launch and all, as it is in some scenes of the same objects."""
+    """Play a plan, launch and all, as it is in some scenes of the same objects. Raises InputError for no plan."""
+    require_kind("plan", plan, Plan, accepted="the plan of a played goal")
     missed: dict[int, str] = {}
     count = 0
     for scene in scenes:

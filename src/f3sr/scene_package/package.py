@@ -17,7 +17,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.pose_uncertainty import PoseUncertainty
-from f3sr.errors import InputError
+from f3sr.errors import InputError, require_kind, require_path
 from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.glb import Glb
 from f3sr.exporters.mjcf import Mjcf
@@ -145,7 +145,7 @@ class Package:
 
 def write_package(
     scene: Scene,
-    out: Path,
+    out: str | Path,
     *,
     direct: Scene | None = None,
     uncertainty: Mapping[int, PoseUncertainty] | None = None,
@@ -169,8 +169,9 @@ def write_package(
     report.html. ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden
     folder. Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``.
     """
-    out = placed(out)
-    with claimed(out, lambda out: require_replaceable(out, overwrite=overwrite)) as claim:
+    require_kind("scene", scene, Scene, accepted="f3sr.read_package(...).scene")
+    place = placed(out)
+    with claimed(place, lambda place: require_replaceable(place, overwrite=overwrite)) as claim:
         for name, data in package_files(
             scene,
             direct=direct,
@@ -185,20 +186,20 @@ def write_package(
         ):
             claim.write(name, data)
         claim.replace()
-    return out
+    return place
 
 
 def load(folder: str | Path) -> Package:
     """A package to play with: ``f3sr.load("out").mujoco()``. Raises InputError as ``read_package`` does."""
-    return read_package(Path(folder))
+    return read_package(folder)
 
 
-def read_package(folder: Path) -> Package:
+def read_package(folder: str | Path) -> Package:
     """Read and validate a package folder. A package is untrusted: every number and path is checked.
 
     Raises InputError naming the file that is missing, malformed or outside the folder.
     """
-    folder = Path(folder)
+    folder = require_path("folder", folder)
     recover(folder)
     require_package(folder)
     document = _read_document(inside(folder, SCENE))

@@ -7,10 +7,11 @@ import os
 import stat
 from pathlib import Path
 
-from f3sr.errors import InputError, OutputError, reason
+from f3sr.errors import InputError, OutputError, reason, require_path
 from f3sr.files import limited_file
 from f3sr.files.bounds import MAX_SCENE_BYTES
 from f3sr.runtime import atomic_folder
+from f3sr.runtime.unchanged_folder import contents_of
 from f3sr.scene_package.scene_json import SCHEMA_FILE
 
 SCENE = "scene.json"
@@ -89,13 +90,13 @@ def _is_no_folder(path: Path) -> bool:
         return False
 
 
-def placed(out: Path, *, rollout: bool = False) -> Path:
+def placed(out: str | Path, *, rollout: bool = False) -> Path:
     """The full path of a folder to be written, once what killed runs left there is tidied up.
 
     Raises OutputError for a path that leads nowhere, through a link in a package, or into a package. Inside a package
     only a ``rollout`` may be written, below ``rollouts``.
     """
-    path = Path(out).absolute()
+    path = require_path("out", out).absolute()
     with atomic_folder.told(path):
         atomic_folder.recover(path)
         try:
@@ -123,7 +124,7 @@ def require_replaceable(out: Path, *, overwrite: bool, edits: bool = False) -> N
     if not os.path.lexists(out) or _is_empty(out):
         return
     if not is_package(out):
-        raise OutputError(f"{out}: found {_contents(out)}; accepted: a new or empty folder, or an f3sr package")
+        raise OutputError(f"{out}: found {contents_of(out)}; accepted: a new or empty folder, or an f3sr package")
     if strangers := sorted(p.name for p in out.iterdir() if p.name not in TOP_LEVEL):
         raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
     rollouts = out / ROLLOUTS
@@ -142,11 +143,3 @@ def _package_around(folder: Path) -> Path | None:
 
 def _is_empty(folder: Path) -> bool:
     return folder.is_dir() and not any(folder.iterdir())
-
-
-def _contents(place: Path) -> str:
-    """What is there, in a few words."""
-    if not place.is_dir():
-        return "a file"
-    names = sorted(p.name for p in place.iterdir())
-    return f"a folder with {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"

@@ -89,7 +89,7 @@ def _file_name(name: str) -> str:
 def _whole(version: object) -> object:
     """Not true nor 1.0, which equal 1."""
     if type(version) is not int:
-        raise ValueError("accepted: a whole number")
+        raise ValueError(f"{version!r:.60}; accepted: a whole number")
     return version
 
 

@@ -1,77 +1,24 @@
-"""Masks from COCO JSON: run-length codes, compressed or not, and polygons (cocodataset.org/#format-data)."""
+"""Masks from COCO JSON: run-length codes, compressed or not, and polygons."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from f3sr.errors import InputError
-from f3sr.files import strict_json
-from f3sr.files.bounds import MAX_OBJECTS, NewLabel
 from f3sr.io.masks import MIN_PIXELS
 from f3sr.scene import Photo
+from f3sr.segmentation.coco_document import MAX_CODE, CocoAnnotation, RunLengthCode, read_annotations
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.input_folder_writer import OutlinedObject
 
-ACCEPTED = "COCO JSON: images and annotations with a segmentation, or a list of such annotations"
-MAX_CODE = 10_000_000
-"""Most characters, or runs, of a code: the file itself is not longer."""
 MAX_SHIFT = 30
 """Most bits of a number of a compressed code before its last five: no run is longer than the largest photo."""
-FAR = 1e6
-"""Largest coordinate of a polygon [px]: ten times a photo's longest side."""
 FINER = 4
 """Times that polygons are drawn finer than the photo: a pixel belongs to one that covers half of it."""
-
-Count = Annotated[int, Field(ge=0, le=2**31)]
-Place = Annotated[float, Field(ge=-FAR, le=FAR, allow_inf_nan=False)]
-Polygon = Annotated[list[Place], Field(min_length=6, max_length=MAX_CODE)]
-
-
-class RunLengthCode(BaseModel):
-    """Runs of 0 and 1 in turn, 0 first, down the columns of a mask of ``size`` rows, columns."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    size: tuple[Count, Count]
-    counts: Annotated[str, Field(max_length=MAX_CODE)] | Annotated[list[Count], Field(max_length=MAX_CODE)]
-
-
-class _Annotation(BaseModel):
-    model_config = ConfigDict(extra="ignore")
-
-    image_id: int | str | None = None
-    category_id: int | None = None
-    segmentation: RunLengthCode | Annotated[list[Polygon], Field(min_length=1, max_length=10_000)]
-
-
-class _Picture(BaseModel):
-    model_config = ConfigDict(extra="ignore")
-
-    id: int | str
-    file_name: str = ""
-    width: int | None = None
-    height: int | None = None
-
-
-class _Category(BaseModel):
-    model_config = ConfigDict(extra="ignore")
-
-    id: int
-    name: NewLabel
-
-
-class _CocoDocument(BaseModel):
-    model_config = ConfigDict(extra="ignore")
-
-    images: list[_Picture] = []
-    annotations: list[dict[str, Any]]
-    categories: list[_Category] = []
 
 
 def read_coco(file: Path, photo: Photo, *, name: str = "") -> dict[int, OutlinedObject]:
@@ -80,18 +27,8 @@ def read_coco(file: Path, photo: Photo, *, name: str = "") -> dict[int, Outlined
     Of several images, the one with the file ``name`` counts. Raises InputError for what is no such file, or has
     another size than the photo.
     """
-    value = strict_json.read(file, accepted=ACCEPTED)
-    try:
-        document = _CocoDocument.model_validate({"annotations": value} if isinstance(value, list) else value)
-        chosen = _of_image(file, document, name)
-        if not 1 <= len(chosen) <= MAX_OBJECTS:
-            raise InputError(file, found=f"{len(chosen)} annotations", accepted=f"1 to {MAX_OBJECTS} of the photo")
-        annotations = [_Annotation.model_validate(annotation) for annotation in chosen]
-    except ValidationError as error:
-        found, accepted = strict_json.problem(error, "annotations")
-        raise InputError(file, found=found, accepted=accepted) from error
-    names = {category.id: category.name for category in document.categories}
-    return {k: _object(file, k, a, names, photo) for k, a in enumerate(annotations)}
+    found = read_annotations(file, photo, name)
+    return {k: _object(file, f"annotation {k}", a, label, photo) for k, (a, label) in enumerate(found)}
 
 
 def decoded(code: RunLengthCode) -> Mask:
@@ -124,19 +61,8 @@ def _numbers(text: str) -> NDArray[np.int64]:
     return np.array(runs, np.int64)
 
 
-def _of_image(file: Path, document: _CocoDocument, name: str) -> list[dict[str, Any]]:
-    """The annotations of the photo."""
-    if len(document.images) < 2:
-        return document.annotations
-    ids = [picture.id for picture in document.images if Path(picture.file_name).name == name]
-    if len(ids) != 1:
-        found = f"{len(document.images)} images, {len(ids)} of them named {name}"
-        raise InputError(file, found=found, accepted="one image, or one with the photo's file name")
-    return [annotation for annotation in document.annotations if annotation.get("image_id") == ids[0]]
-
-
-def _object(file: Path, number: int, a: _Annotation, names: dict[int, str], photo: Photo) -> OutlinedObject:
-    where, shape = f"annotation {number}", (photo.height, photo.width)
+def _object(file: Path, where: str, a: CocoAnnotation, label: str, photo: Photo) -> OutlinedObject:
+    shape = (photo.height, photo.width)
     try:
         if isinstance(a.segmentation, RunLengthCode):
             if a.segmentation.size != shape:
@@ -149,7 +75,7 @@ def _object(file: Path, number: int, a: _Annotation, names: dict[int, str], phot
     except ValueError as error:
         accepted = f"masks of {photo.width}x{photo.height} pixels, at least {MIN_PIXELS} of them set"
         raise InputError(file, found=f"{where}: {error}", accepted=accepted) from error
-    return OutlinedObject(label=names.get(a.category_id, "") if a.category_id is not None else "", mask=mask)
+    return OutlinedObject(label=label, mask=mask)
 
 
 def _drawn(polygons: list[list[float]], shape: tuple[int, int]) -> Mask:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import stat
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,15 +16,14 @@ from f3sr.files import limited_file
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.io.images import as_rgb, encode_png, open_image
 from f3sr.io.masks import MAX_ID_DIGITS, MIN_PIXELS
-from f3sr.runtime.atomic_folder import check, claimed
+from f3sr.runtime.unchanged_folder import FolderNote
 from f3sr.scene import Photo
 from f3sr.segmentation.selection import Selection
-from f3sr.segmentation.selection_json import PROMPTS, read_selection, selection_bytes
+from f3sr.segmentation.selection_json import PROMPTS, selection_bytes
 
 MASKS, GROUND_FILE = "masks", "ground.png"
 IMAGES = ("image.png", "image.jpg")
-WRITTEN = {MASKS, GROUND_FILE, PROMPTS, *IMAGES}
-"""Everything that such a folder holds when f3sr wrote it."""
+OUTLINED = FolderNote(name=PROMPTS, writer="f3sr segment")
 MAX_PHOTO_BYTES = 200_000_000
 """Largest photo file: a PNG of the largest photo, hardly compressed."""
 MAX_NAME = 60
@@ -57,8 +54,8 @@ def write_input_folder(
 ) -> Path:
     """Write a prompted-image folder whole or not at all; returns its full path.
 
-    ``photo`` is copied byte for byte. ``objects`` are by id, ``ground`` (H, W) may be empty. An older folder that f3sr
-    segment wrote is replaced, with nothing else in it. Raises InputError for masks that no input folder may hold,
+    ``photo`` is copied byte for byte. ``objects`` are by id, ``ground`` (H, W) may be empty. An older folder is
+    replaced as f3sr segment wrote it, not a changed one. Raises InputError for masks that no input folder may hold,
     OutputError for any other place.
     """
     data = limited_file.read(photo, most=MAX_PHOTO_BYTES, accepted="a PNG or JPEG image")
@@ -66,20 +63,19 @@ def write_input_folder(
     full = Path(out).absolute().resolve()
     if Path(photo).resolve().is_relative_to(full):
         raise OutputError(f"{full}: holds the photo; give another folder")
-    with claimed(full, _require_own) as claim:
-        claim.write(IMAGES[0] if data.startswith(PNG) else IMAGES[1], data)
+    with OUTLINED.writing(full) as folder:
+        folder.write(IMAGES[0] if data.startswith(PNG) else IMAGES[1], data)
         for id, o in sorted(objects.items()):
-            claim.write(f"{MASKS}/{mask_name(id, o.label)}", _grey(o.mask))
+            folder.write(f"{MASKS}/{mask_name(id, o.label)}", _grey(o.mask))
         if ground.sum() >= MIN_PIXELS:
-            claim.write(GROUND_FILE, _grey(ground))
-        claim.write(PROMPTS, selection_bytes(selection or Selection(prompts=())))
-        claim.replace()
+            folder.write(GROUND_FILE, _grey(ground))
+        folder.end(lambda files: selection_bytes(selection or Selection(prompts=()), files))
     return full
 
 
 def require_writable(out: Path) -> Path:
     """The full path of a folder that ``write_input_folder`` may write, or the OutputError that it would raise."""
-    return check(Path(out).absolute().resolve(), _require_own)
+    return OUTLINED.check(Path(out).absolute().resolve())
 
 
 def mask_name(id: int, label: str) -> str:
@@ -106,31 +102,3 @@ def _require_objects(objects: Mapping[int, OutlinedObject]) -> None:
         if (count := int(o.mask.sum())) < MIN_PIXELS:
             name = f"object {id}" + (f" ({o.label:.40})" if o.label else "")
             raise InputError(name, found=f"{count} pixels that no other mask holds", accepted=f"at least {MIN_PIXELS}")
-
-
-def _require_own(out: Path) -> None:
-    """Raises OutputError unless a folder may take the place ``out``: there is nothing, or what f3sr segment wrote."""
-    if not os.path.lexists(out):
-        return
-    if not out.is_dir():
-        raise OutputError(f"{out}: found a file; accepted: a new or empty folder, or one that f3sr segment wrote")
-    names = sorted(p.name for p in out.iterdir())
-    if not names:
-        return
-    if not _is_own(out / PROMPTS):
-        found = f"a folder with {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"
-        raise OutputError(f"{out}: found {found}; accepted: a new or empty folder, or one that f3sr segment wrote")
-    strangers = [name for name in names if name not in WRITTEN]
-    strangers += sorted(p.name for p in (out / MASKS).glob("*") if p.suffix != ".png")
-    if strangers:
-        raise OutputError(f"{out}: holds {strangers[0]}, which f3sr segment did not write; move it away first")
-
-
-def _is_own(prompts: Path) -> bool:
-    try:
-        if not stat.S_ISREG(prompts.lstat().st_mode):
-            return False
-        read_selection(prompts)
-    except (OSError, InputError):
-        return False
-    return True

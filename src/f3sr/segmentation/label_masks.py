@@ -25,7 +25,7 @@ OPAQUE = 127
 
 def read_label_map(file: Path, photo: Photo) -> dict[int, OutlinedObject]:
     """The objects of a label map, by its values, without labels. Raises InputError."""
-    with opened(file) as stream:
+    with opened(file, accepted=MAP) as stream:
         if stream.read(len(PNG)) != PNG:
             raise InputError(file, found="no PNG", accepted=MAP)
     image = open_image(file)
@@ -45,7 +45,7 @@ def read_label_map(file: Path, photo: Photo) -> dict[int, OutlinedObject]:
 
 def read_cutouts(folder: Path, photo: Photo) -> dict[int, OutlinedObject]:
     """The objects of cut-outs, ids and labels by file names as masks/ has them. Raises InputError."""
-    source = InputFolder(folder)
+    source = InputFolder(folder, accepted=f"a folder of {CUTOUT}")
     names = source.names()
     if strange := [name for name in names if not name.endswith(".png")]:
         raise InputError(folder, found=strange[0], accepted=CUTOUT)

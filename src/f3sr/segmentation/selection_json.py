@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -45,6 +46,8 @@ class _SelectionForm(BaseModel):
     prompts: Annotated[list[_PromptForm], Field(max_length=MAX_OBJECTS)]
     ground: _PromptForm = _PromptForm()
     made_by: Annotated[str, Field(max_length=LONGEST_LINE)] = ""
+    files: dict[str, str] = {}
+    """SHA-256 of the files beside it, which are not of the selection."""
 
 
 def selection_form(selection: Selection) -> dict[str, Any]:
@@ -54,9 +57,10 @@ def selection_form(selection: Selection) -> dict[str, Any]:
     return {"format": FORMAT, "version": 1, **values, **({"made_by": cut(made_by, LONGEST_LINE)} if made_by else {})}
 
 
-def selection_bytes(selection: Selection) -> bytes:
-    """The selection as a document; the same bytes for the same prompts."""
-    return (json.dumps(selection_form(selection), allow_nan=False, ensure_ascii=False) + "\n").encode()
+def selection_bytes(selection: Selection, files: Mapping[str, str] | None = None) -> bytes:
+    """The selection as a document, and digests of ``files`` beside it; the same bytes for the same prompts."""
+    form = selection_form(selection) | ({"files": files} if files else {})
+    return (json.dumps(form, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def read_selection(file: Path) -> Selection:
