@@ -83,7 +83,7 @@ class Polytope:
         real[real] = long
         start, end, length = start[long], end[long], length[long]
         beside = np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1)
-        return cls(
+        return cls.with_arrays(
             vertices=part.vertices,
             normals=normals,
             offsets=(part.vertices @ normals.T).max(0),
@@ -398,11 +398,12 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
     # Directed edges: the owner has its inside to the left. On a closed surface each occurs once, and its reverse once.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     owner = np.tile(np.arange(len(faces)), 3)
-    forward = np.flatnonzero(edges[:, 0] < edges[:, 1])
-    backward = np.flatnonzero(edges[:, 0] > edges[:, 1])
+    start, end = edges.T.astype(np.int64)
+    forward, backward = np.flatnonzero(start < end), np.flatnonzero(start > end)
     # Both sorted by the same pair of vertices: row k of one is the reverse of row k of the other.
-    forward = forward[np.lexsort(edges[forward].T)]
-    backward = backward[np.lexsort(edges[backward][:, ::-1].T)]
+    count = len(faces) + 3  # of the vertices, at least: a closed surface has half as many
+    forward = forward[np.argsort(end[forward] * count + start[forward], kind="stable")]
+    backward = backward[np.argsort(start[backward] * count + end[backward], kind="stable")]
     if not np.array_equal(edges[forward], edges[backward][:, ::-1]):
         raise ValueError(f"a convex part of {len(faces)} faces is not closed")
     return owner[forward], owner[backward], edges[forward]
@@ -436,12 +437,13 @@ def _coplanar_groups(
     size = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
     same = away <= COPLANAR * size
     longest = np.linalg.norm(corners - corners[:, AFTER], axis=2).max(1)
-    is_sliver = area <= SLIVER * COPLANAR * size * longest
-    # Per small triangle its links by the area of the neighbour: ``unique`` gives the first, its largest neighbour.
-    order = np.lexsort((-area[large], small))
-    first = np.zeros(len(same), bool)
-    first[order[np.unique(small[order], return_index=True)[1]]] = True
-    same &= first | ~is_sliver[small]
+    is_sliver = (area <= SLIVER * COPLANAR * size * longest)[small]
+    if (same & is_sliver).any():
+        # Per small triangle its links by the area of the neighbour: ``unique`` gives the first, its largest neighbour.
+        order = np.lexsort((-area[large], small))
+        first = np.zeros(len(same), bool)
+        first[order[np.unique(small[order], return_index=True)[1]]] = True
+        same &= first | ~is_sliver
     return _linked(len(area), left[same], right[same])
 
 
