@@ -6,6 +6,7 @@ body rocks from face to face by micrometres, and friction lets it creep by centi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -40,11 +41,12 @@ class ShortestWay:
         None where it has no point in common with the others, up to ``slack`` (same unit). Of the normal only what is
         new moves the point further (Gram-Schmidt), so its way remains the shortest."""
         new = normal
-        for _ in range(2):  # twice is enough against rounding
+        for _ in range(2 if len(self.basis) else 0):  # twice is enough against rounding
             new = new - (self.basis @ new) @ self.basis
-        size, lacking = float(np.sqrt(new @ new)), ahead - float(normal @ self.way)
+        size, lacking = math.sqrt(new @ new), ahead - float(normal @ self.way)
         if size > PARALLEL:
-            return type(self)(basis=np.vstack([self.basis, new / size]), way=self.way + lacking / size**2 * new)
+            basis = np.concatenate([self.basis, (new / size)[None]])
+            return type(self)(basis=basis, way=self.way + lacking / size**2 * new)
         return self if abs(lacking) <= slack else None
 
 
