@@ -576,6 +576,7 @@ def test_the_command_writes_an_input_folder(tmp_path: Path, capsys: pytest.Captu
         (["--ground-stroke", "3,3"], "--ground-stroke: found no object; accepted:"),
         (["--label-map", "nowhere.png"], "nowhere.png: found no such file or directory; accepted: a PNG of 1, 8"),
         (["--cutouts", "nosuch"], "nosuch: found nothing there; accepted: a folder of photo-sized *.png"),
+        (["--coco", "x.json", "--segmenter", "grabcut"], "--segmenter: found --coco, which has masks; accepted: boxes"),
     ],
 )
 def test_wrong_options_are_one_line(options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

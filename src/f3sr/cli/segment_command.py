@@ -93,15 +93,12 @@ def segment(
     from f3sr.segmentation.selection import outlined, told_apart
 
     drawn = bool(box or inside or outside or prompts)
-    ways = {
-        "--label-map": label_map,
-        "--cutouts": cutouts,
-        "--coco": coco,
-        "--segment": segment,
-        "boxes and strokes": drawn or None,
-    }
+    masks = {"--label-map": label_map, "--cutouts": cutouts, "--coco": coco}
+    ways = {**masks, "--segment": segment, "boxes and strokes": drawn or None}
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
         raise InputError("segment", found=" and ".join(given), accepted="one way to tell the objects")
+    if segmenter and (have := masks.keys() & set(given)):
+        raise InputError("--segmenter", found=f"{have.pop()}, which has masks", accepted="boxes, strokes or a page")
     _require_use(segment, segmenter, ground_segmenter, ground_stroke, page=not given and not ground_stroke)
     choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
     backend = SEGMENTERS.find(segmenter or DEFAULT_SEGMENTER, choice)
