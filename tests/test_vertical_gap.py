@@ -44,3 +44,15 @@ def test_what_lies_on_it_or_beside_it_is_not_below():
     assert meeting(lower, [upper, beside]).other == GROUND
     found = meeting(upper, [lower, beside])
     assert (found.other, found.gap) == (0, pytest.approx(0.002, abs=1e-5))
+
+
+def test_each_pose_scale_and_object_of_the_same_meshes_has_its_own_meeting():
+    mesh, other = box(0).mesh, box(1).mesh
+    lower, upper = at(0, mesh, 0, 0, 0.05), at(1, other, 0.02, 0, 0.16)
+    assert meeting(upper, [lower]).gap == pytest.approx(0.01, abs=1e-5)
+    assert meeting(at(1, other, 0.02, 0, 0.17), [lower]).gap == pytest.approx(0.02, abs=1e-5)
+    assert meeting(upper, [at(0, mesh, 0, 0, 0.045)]).gap == pytest.approx(0.015, abs=1e-5)
+    assert meeting(upper, [replace(lower, scale=0.9)]).gap == pytest.approx(0.015, abs=1e-5)
+    assert meeting(replace(upper, scale=0.9), [lower]).gap == pytest.approx(0.015, abs=1e-5)
+    assert meeting(upper, [at(7, mesh, 0, 0, 0.05)]).other == 7
+    assert meeting(upper, [lower]).gap == pytest.approx(0.01, abs=1e-5)

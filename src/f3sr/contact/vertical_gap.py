@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
 from f3sr.vision import height_map
@@ -30,6 +32,11 @@ class Meeting:
     below: Array
 
 
+_Known = WeakKeyDictionary[Mesh, WeakKeyDictionary[Mesh, dict[tuple[object, ...], Meeting | None]]]
+_KNOWN: _Known = WeakKeyDictionary()
+"""Of meshes that are in use, at poses that they had: most objects stay where others are lowered and settle."""
+
+
 def meeting(o: SceneObject, others: Iterable[SceneObject]) -> Meeting:
     """Where an object would first meet the ground or one of some others."""
     vertices = o.vertices_world
@@ -43,6 +50,17 @@ def _between(upper: SceneObject, lower: SceneObject) -> Meeting | None:
     """Where a mesh would first meet another one; None where no part of it is over the other."""
     low = np.maximum(upper.bounds_world[0], lower.bounds_world[0])[:2]
     high = np.minimum(upper.bounds_world[1], lower.bounds_world[1])[:2]
+    if (high <= low).any():
+        return None
+    known = _KNOWN.setdefault(upper.mesh, WeakKeyDictionary()).setdefault(lower.mesh, {})
+    poses = (lower.id, *(value for o in (upper, lower) for value in (o.scale, o.T_world_object.tobytes())))
+    if poses not in known:
+        known[poses] = _nearest(upper, lower, low, high)
+    return known[poses]
+
+
+def _nearest(upper: SceneObject, lower: SceneObject, low: Array, high: Array) -> Meeting | None:
+    """The same over a rectangle of the xy plane."""
     found = None
     for _ in range(LOOKS):
         if (high <= low).any():
