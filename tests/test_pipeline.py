@@ -161,7 +161,7 @@ def test_motion_notes_add_up_to_the_way_from_input_to_result(whole: Reconstructi
 def test_reports_carry_units_and_reasons(whole: Reconstruction):
     assert [r.stage for r in whole.reports] == [
         "assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine",
-        "coarsen", "describe", "uncertainty", "inpaint",
+        "coarsen", "describe", "uncertainty", "inpaint", "evaluate",
     ]  # fmt: skip
     for report in whole.reports:
         assert all(np.isfinite(m.after) for m in report.measures)

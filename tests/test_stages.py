@@ -511,3 +511,18 @@ def test_supports_after_settling_are_what_really_carries():
     assert shares[1] == pytest.approx(0.625, abs=0.07)
     assert scene[3].supported_by == GROUND and [s.id for s in scene[0].supports] == [GROUND]
     assert any("rests on object 1, not on the ground" in d.choice for d in outcome.decisions)
+
+
+def test_what_moves_when_it_is_released_is_a_fallback():
+    resting, hanging = box(0, at=(0, 0, 0.05)), box(1, at=(0.4, 0, 0.06))
+    assert not evaluate(scene_of(resting), None).report.fallbacks
+    (told,) = evaluate(scene_of(resting, hanging), None).report.fallbacks
+    assert told.choice == "kept although it moves when it is released"
+    way = re.search(r"travels by (\S+) mm in 5 s, of 1 mm", told.reason)
+    assert way and float(way[1]) == pytest.approx(10, abs=0.5), "the box falls by 10 mm, less the margins"
+
+
+def test_a_release_that_is_lost_is_a_fallback_too():
+    measured = evaluate(scene_of(box(0, at=(0, 0, 0.05))), None)
+    lost = replace(measured, result=replace(measured.result, D_max_cm=float("nan")))
+    assert lost.report.fallbacks

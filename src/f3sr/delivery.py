@@ -40,7 +40,7 @@ def deliver(
             uncertainty=result.uncertainty,
             metrics=evaluation.result.as_dict() if evaluation else {},
             provenance=result.provenance,
-            reports=(*result.reports, *([evaluation.report] if evaluation else [])),
+            reports=result.reports,
             rows={title: row.as_dict() for title, row in evaluation.rows().items()} if evaluation else {},
             seconds=result.seconds if times else {},
             pictures=shown,

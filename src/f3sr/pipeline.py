@@ -80,8 +80,9 @@ class Reconstruction:
 
     @property
     def reports(self) -> tuple[Report, ...]:
-        """Measures and decisions of every stage, in order, for people and report.html."""
-        return tuple(outcome.report for outcome in self.outcomes)
+        """Measures and decisions of every stage, in order and ``evaluate`` last, for people and report.html."""
+        measured = (self.evaluation.report,) if self.evaluation else ()
+        return (*(outcome.report for outcome in self.outcomes), *measured)
 
 
 @one_thread()

@@ -18,6 +18,8 @@ from f3sr.settings import settings
 
 DIRECT, FITTED = "direct composition", "fitted camera"
 """In titles of rows."""
+MAX_TRAVEL = 1e-3
+"""Largest travel of a centre of mass in the release protocol from which a scene counts as at rest [m]."""
 
 
 @settings
@@ -66,9 +68,15 @@ class Evaluation:
 
     @property
     def report(self) -> Report:
-        """Decisions on fitted cameras."""
+        """Decisions on fitted cameras, and a fallback where the result moves in the release protocol."""
         fitted = (self.direct_fitted, self.result_fitted)
-        return Report(stage="evaluate", decisions=tuple(f.decision for f in fitted if f))
+        travel = self.result.D_max_cm / 100
+        reason = f"a centre of mass travels by {1000 * travel:.2f} mm in 5 s, of {1000 * MAX_TRAVEL:g} mm allowed"
+        moves = Decision(choice="kept although it moves when it is released", reason=reason, fallback=True)
+        return Report(
+            stage="evaluate",
+            decisions=(*(f.decision for f in fitted if f), *([] if travel <= MAX_TRAVEL else [moves])),
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
