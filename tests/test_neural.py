@@ -602,6 +602,7 @@ def test_planted_masks_geometry_and_meshes_give_the_package_of_the_folder(
         return {k: tiny.torch.from_numpy(np.array(v)) for k, v in values.items()}
 
     monkeypatch.setattr(moge_points.MogeGeometry, "loaded", lambda self, make: SimpleNamespace(infer=infer))
+    monkeypatch.setattr(moge_points.MogeGeometry, "needs", lambda self: ())
     shown = tmp_path / "photo.png"
     shown.write_bytes((tmp_path / "given" / "image.png").read_bytes())
     arguments = ["photo", str(shown), "-o", str(tmp_path / "B"), "--no-open", "--json", "--geometry", "moge"]
