@@ -93,6 +93,18 @@ def test_a_box_has_six_facets_and_twelve_edges():
     assert np.allclose(cube.offsets, 0.5)
 
 
+def test_vertices_without_a_face_change_nothing():
+    rng = np.random.default_rng(5)
+    hull = ConvexPart.hull_of(rng.normal(size=(12, 3)))
+    for _ in range(300):
+        place = rng.permutation(400)[: len(hull.vertices)]
+        corners = np.zeros((400, 3))
+        corners[place] = hull.vertices
+        found = Polytope.of(ConvexPart(vertices=corners, faces=place[hull.faces].astype(np.int32)))
+        assert len(found.normals) == len(hull.faces)
+        assert found.edge_lengths.sum() == pytest.approx(Polytope.of(hull).edge_lengths.sum())
+
+
 def test_facets_and_edges_obey_euler_on_random_hulls():
     for seed in SEEDS:
         p = random_hull(np.random.default_rng(seed), 40)

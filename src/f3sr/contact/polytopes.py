@@ -401,7 +401,7 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
     start, end = edges.T.astype(np.int64)
     forward, backward = np.flatnonzero(start < end), np.flatnonzero(start > end)
     # Both sorted by the same pair of vertices: row k of one is the reverse of row k of the other.
-    count = len(faces) + 3  # of the vertices, at least: a closed surface has half as many
+    count = int(faces.max(initial=-1)) + 1
     forward = forward[np.argsort(end[forward] * count + start[forward], kind="stable")]
     backward = backward[np.argsort(start[backward] * count + end[backward], kind="stable")]
     if not np.array_equal(edges[forward], edges[backward][:, ::-1]):
