@@ -96,7 +96,7 @@ def overlay(scene: Scene, backdrop: Backdrop | None = None) -> Image:
 
     A render over another object's mask is dark, so that swapped ids show."""
     backdrop = backdrop or Backdrop.of(scene)
-    ids, wanted = rasterizer.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
+    ids, wanted = rasterizer.visible_ids(scene.objects, backdrop.camera(scene)), backdrop.wanted
     has_mask, has_render = wanted != rasterizer.EMPTY, ids != rasterizer.EMPTY
     # 0 neither, 1 mask only, 2 render only, 3 both, 4 both of different objects: an index into the three tables.
     kind = has_mask + 2 * has_render.astype(np.uint8)
@@ -186,10 +186,10 @@ def ground_row(camera: Camera) -> int:
 
 def _textured(scene: Scene, camera: Camera, behind: Image) -> Image:
     """The textured, unlit render over a picture of the camera's size."""
-    fragments = rasterizer.render(scene.objects, camera)
-    covered = fragments.ids != rasterizer.EMPTY
     picture = behind.copy()
-    picture[covered] = (255 * rasterizer.shade(fragments, scene.objects)[covered]).round()
+    for rows, fragments in rasterizer.strips(scene.objects, camera):
+        covered = fragments.ids != rasterizer.EMPTY
+        picture[rows][covered] = (255 * rasterizer.shade(fragments, scene.objects)[covered]).round()
     return picture
 
 

@@ -59,9 +59,9 @@ MANY_PIXELS = 500_000
 THREADS = min(os.cpu_count() or 1, 8)
 """How many share larger work."""
 
-STRIP = 2_000_000
-"""Pixels that ``strips`` draws at a time: 56 MB of buffers, and few enough strips that looking at every triangle once
-per strip costs little."""
+STRIP = 500_000
+"""Pixels that ``strips`` draws at a time: 14 MB of buffers, and few enough strips that looking at every triangle once
+per strip costs little (115,000 triangles, 1024 by 768 pixels: two strips take 6 ms more than one of 35)."""
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
 """The texture of a material that has none: one white texel."""
