@@ -198,9 +198,7 @@ def ground_contact_friction(ground_friction: float) -> tuple[float, float, float
     return ground_friction, TORSIONAL_FRICTION, GROUND_ROLLING_FRICTION
 
 
-def empty_spec(
-    config: PhysicsConfig, margin: float | None = None, *, ground_friction: float = Ground.friction
-) -> MjSpec:
+def empty_spec(config: PhysicsConfig, *, ground_friction: float = Ground.friction) -> MjSpec:
     """Options and the ground plane z = 0."""
     mujoco = engine()
     spec = mujoco.MjSpec()
@@ -217,7 +215,7 @@ def empty_spec(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[20, 20, 0.1],
         friction=ground_contact_friction(ground_friction),
-        **contact_options(config, margin),
+        **contact_options(config),
     )
     return spec
 
@@ -231,14 +229,7 @@ def contact_options(config: PhysicsConfig, margin: float | None = None) -> dict[
     }
 
 
-def add_body(
-    spec: MjSpec,
-    body: Body,
-    config: PhysicsConfig,
-    *,
-    even_density: float | None = None,
-    margin: float | None = None,
-) -> None:
+def add_body(spec: MjSpec, body: Body, config: PhysicsConfig, *, even_density: float | None = None) -> None:
     """The body with its explicit inertia, or with the same density in all its parts when one is given."""
     mujoco = engine()
     T, moment = body.T_world_body, body.inertia
@@ -257,7 +248,7 @@ def add_body(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             friction=body.friction,
-            **contact_options(config, margin),
+            **contact_options(config),
         )
         if body.solref is not None:
             geom.solref, geom.priority = body.solref, 1
