@@ -34,7 +34,7 @@ from f3sr.io.mesh_files import load_mesh, load_part, save_glb
 from f3sr.language.reasoner import declared
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig, build_spec, engine
-from f3sr.physics.release import release
+from f3sr.physics.release import RELEASE_MARGIN, release
 from f3sr.physics.settling import settle
 from f3sr.report import Decision, Measure, Report
 from f3sr.runtime import atomic_folder
@@ -364,8 +364,8 @@ def test_inertia_is_about_the_centre_of_mass_in_object_axes(tmp_path: Path) -> N
 
 def test_the_released_package_is_the_released_scene(stack: Scene, tmp_path: Path) -> None:
     read = read_package(write_package(stack, tmp_path / "out"))
-    assert release(read.scene.objects) == pytest.approx(release(stack.objects), rel=1e-3, abs=1e-7)
-    assert release(read.scene.objects).D_max < 1e-6
+    assert release(read.scene.objects) == pytest.approx(release(stack.objects), rel=1e-3)
+    assert release(read.scene.objects).D_max < 4 * (2 * RELEASE_MARGIN - DEFAULT_MARGIN.clearance)
 
 
 def test_a_package_tells_whose_colours_hold_the_light_of_the_photo(stack: Scene, tmp_path: Path) -> None:

@@ -9,11 +9,12 @@ from f3sr.settings import constants
 class ContactMargin:
     """Distances between bodies [m]. All of them derive from ``body``, the margin that physics gives each body."""
 
-    body: float = 2e-4
+    body: float = 1.6e-4
     """Contact distance of one body while it settles. It keeps soft contact from turning into overlap.
 
-    Two such margins stay between bodies at rest. It is the release protocol's, which would lift or drop bodies by any
-    difference, level by level, and what is lifted may slide: with .16 mm a tower of ten moved by 1.2 to 1.9 mm."""
+    Two such margins stay between bodies at rest. Engines without a margin let a body fall that far, so it is small. The
+    release protocol has .2 mm and lifts bodies by the difference, which costs energy in its square: with .13 mm here
+    boxes of 10 kg get 2.7 mJ, with .16 mm .9 mJ."""
 
     @property
     def clearance(self) -> float:

@@ -198,7 +198,9 @@ def ground_contact_friction(ground_friction: float) -> tuple[float, float, float
     return ground_friction, TORSIONAL_FRICTION, GROUND_ROLLING_FRICTION
 
 
-def empty_spec(config: PhysicsConfig, *, ground_friction: float = Ground.friction) -> MjSpec:
+def empty_spec(
+    config: PhysicsConfig, margin: float | None = None, *, ground_friction: float = Ground.friction
+) -> MjSpec:
     """Options and the ground plane z = 0."""
     mujoco = engine()
     spec = mujoco.MjSpec()
@@ -215,7 +217,7 @@ def empty_spec(config: PhysicsConfig, *, ground_friction: float = Ground.frictio
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[20, 20, 0.1],
         friction=ground_contact_friction(ground_friction),
-        **contact_options(config),
+        **contact_options(config, margin),
     )
     return spec
 
@@ -229,7 +231,14 @@ def contact_options(config: PhysicsConfig, margin: float | None = None) -> dict[
     }
 
 
-def add_body(spec: MjSpec, body: Body, config: PhysicsConfig, *, even_density: float | None = None) -> None:
+def add_body(
+    spec: MjSpec,
+    body: Body,
+    config: PhysicsConfig,
+    *,
+    even_density: float | None = None,
+    margin: float | None = None,
+) -> None:
     """The body with its explicit inertia, or with the same density in all its parts when one is given."""
     mujoco = engine()
     T, moment = body.T_world_body, body.inertia
@@ -248,7 +257,7 @@ def add_body(spec: MjSpec, body: Body, config: PhysicsConfig, *, even_density: f
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             friction=body.friction,
-            **contact_options(config),
+            **contact_options(config, margin),
         )
         if body.solref is not None:
             geom.solref, geom.priority = body.solref, 1

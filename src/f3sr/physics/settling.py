@@ -28,7 +28,7 @@ from f3sr.physics.mujoco_model import (
 )
 from f3sr.physics.near_pairs import NearPairs
 from f3sr.physics.outlook import Outlook, Snapshot
-from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, filling
+from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Ground, SceneObject
 from f3sr.settings import constants, settings
@@ -48,8 +48,8 @@ class RestConfig:
     """Largest travel of a centre of mass in an undamped check [m], four fifths of what the release protocol may show.
     Soft contacts creep on slopes, .1 mm in 5 s in piles and .5 mm in nested bowls, however long they settle."""
     even_masses: bool = True
-    """Check again as the release protocol has it: equal densities spread evenly over the parts, one friction. A pose
-    can stand with one centre of mass and tip with the other."""
+    """Check again as the release protocol has it: equal densities spread evenly over the parts, one friction, a wider
+    margin. A pose can stand with one centre of mass and tip with the other."""
 
 
 @settings
@@ -89,8 +89,8 @@ class SettleResult:
     max_speed: float
     """Largest speed of a centre of mass on the way [m/s]."""
     drifts: Mapping[int, float]
-    """Largest travel of every centre of mass in the last undamped check [m], foreseen where it creeps; infinite when
-    there was none."""
+    """Largest travel of every centre of mass, but upward, in the last undamped check [m], foreseen where it creeps;
+    infinite when there was none."""
     moving: frozenset[int]
     """Ids of the objects that did not rest in that check: they drifted too far, or still moved at its end."""
     loads: Mapping[tuple[int, int], float]
@@ -103,11 +103,12 @@ class SettleResult:
 
 
 def even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
-    """The same model with the release protocol's masses, spread evenly over the parts, and its friction."""
-    spec = empty_spec(config, ground_friction=RELEASE_FRICTION[0])
+    """The same model with the release protocol's masses, spread evenly over the parts, its friction, and its margin,
+    which is wider, so that a push like the protocol's comes first."""
+    spec = empty_spec(config, RELEASE_MARGIN, ground_friction=RELEASE_FRICTION[0])
     for o in objects:
         body = replace(body_of(o), friction=RELEASE_FRICTION)
-        add_body(spec, body, config, even_density=RELEASE_DENSITY * filling(o))
+        add_body(spec, body, config, even_density=RELEASE_DENSITY * filling(o), margin=RELEASE_MARGIN)
     return spec
 
 
@@ -127,7 +128,7 @@ def settle(
     near = NearPairs(build_spec(objects, config, ground_friction=ground_friction), config)
     checks = {near: settling.check_time}
     if settling.rest.even_masses:
-        checks[NearPairs(even_spec(objects, config), config)] = settling.release_time
+        checks[NearPairs(even_spec(objects, config), config, RELEASE_MARGIN)] = settling.release_time
     for check in checks:
         check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run, model = _Settling(near, settling), near.model
@@ -223,6 +224,7 @@ class _Settling:
             for _ in range(self._window):
                 self._step(data, 1.0)
                 way = data.xipos - seen[0].centers
+                way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 squares = np.maximum(squares, np.add.reduce(way * way, axis=1))
             drifts = np.sqrt(squares[1:])
             seen.append(Snapshot.of(data))
