@@ -378,7 +378,7 @@ def test_the_clearance_is_that_of_the_run():
     chosen = replace(
         config, settle=replace(config.settle, physics=replace(config.settle.physics, contact=ContactMargin(body=5e-4)))
     )
-    for c, clearance in ((config, "0.32"), (chosen, "1")):
+    for c, clearance in ((config, "0.34"), (chosen, "1")):
         text = report_page(bare(scene, evaluation=evaluate(scene, scene), config=c)).decode()
         assert f"rest {clearance}\u00a0mm apart" in text
 
