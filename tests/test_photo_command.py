@@ -13,6 +13,7 @@ from PIL import Image
 from f3sr import mask_page
 from f3sr.cli import photo_command
 from f3sr.cli.main import main
+from f3sr.cli.run_request import RunRequest
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
 from f3sr.runtime import atomic_folder
@@ -34,15 +35,16 @@ class Calls:
     """What the command called, instead of doing it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.reconstructed: list[tuple[Path, dict[str, Any]]] = []
+        self.reconstructed: list[tuple[Path, Path, RunRequest, dict[str, Any]]] = []
         self.opened: list[str] = []
         self.page: Callable[..., Path | None] = lambda *args, **more: pytest.fail("no page was asked for")
         self.pages = 0
-        monkeypatch.setattr(
-            photo_command, "reconstruct", lambda folder, **more: self.reconstructed.append((folder, more))
-        )
+        monkeypatch.setattr(photo_command, "make_package", self._make)
         monkeypatch.setattr(browser, "shown_in_browser", lambda address: self.opened.append(address) or True)
         monkeypatch.setattr(mask_page, "serve", self._serve)
+
+    def _make(self, folder: Path, out: Path, request: RunRequest, **more: Any) -> None:
+        self.reconstructed.append((folder, out, request, more))
 
     def _serve(self, photo: Path, out: Path, segmenter: object, **more: Any) -> Path | None:
         self.pages += 1
@@ -63,7 +65,7 @@ def instances(folder: Path) -> dict[str, int]:
 def test_boxes_need_no_page(photo: Path, calls: Calls, tmp_path: Path):
     assert main(["photo", str(photo), *BOXES]) == 0
     assert calls.reconstructed[0][0] == tmp_path / "my table_input"
-    assert calls.reconstructed[0][1]["out"] == tmp_path / "my table_scene"
+    assert calls.reconstructed[0][1] == tmp_path / "my table_scene"
     found = instances(tmp_path / "my table_input")
     assert list(found) == ["red thing", ""]
     assert found["red thing"] == pytest.approx(70 * 60, rel=0.05) and found[""] == pytest.approx(90 * 80, rel=0.05)
@@ -79,7 +81,7 @@ def test_the_page_comes_first_and_the_report_last(photo: Path, calls: Calls, tmp
     assert main(["photo", str(photo), "-o", str(tmp_path / "out" / "table")]) == 0
     assert calls.pages == 1
     assert calls.reconstructed[0][0] == tmp_path / "out" / "table_input"
-    assert calls.reconstructed[0][1]["out"] == tmp_path / "out" / "table"
+    assert calls.reconstructed[0][1] == tmp_path / "out" / "table"
     assert len(calls.opened) == 1
 
 
@@ -92,10 +94,10 @@ def test_a_page_without_a_result_ends_it(photo: Path, calls: Calls, capsys: pyte
 
 def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: Path):
     assert main(["photo", str(photo), *BOXES]) == 0
-    assert main(["photo", str(tmp_path / "my table_input"), "--no-open", "--background", "patchmatch"]) == 0
-    folder, more = calls.reconstructed[1]
-    assert folder == tmp_path / "my table_input" and more["out"] == tmp_path / "my table_scene"
-    assert more["background"] == "patchmatch" and len(calls.opened) == 1 and not calls.pages
+    assert main(["photo", str(tmp_path / "my table_input"), "--no-open", "--focal", "300"]) == 0
+    folder, out, request, _ = calls.reconstructed[1]
+    assert folder == tmp_path / "my table_input" and out == tmp_path / "my table_scene"
+    assert request.hints.focal == 300 and len(calls.opened) == 1 and not calls.pages
 
 
 @pytest.mark.parametrize(
@@ -161,7 +163,7 @@ def test_a_folder_of_somebody_else_is_left_alone(photo: Path, calls: Calls, caps
 
 def test_boxes_and_json_print_no_table(photo: Path, calls: Calls, capsys: pytest.CaptureFixture[str]):
     assert main(["photo", str(photo), *BOXES, "--json", "--no-open"]) == 0
-    assert capsys.readouterr().out == "" and calls.reconstructed[0][1]["json"] is True
+    assert capsys.readouterr().out == "" and calls.reconstructed[0][3]["json"] is True
 
 
 def test_segment_without_boxes_opens_the_page_too(
@@ -184,7 +186,7 @@ def test_json_leaves_the_output_to_the_package(photo: Path, calls: Calls, capsys
     assert main(["photo", str(photo), "--json", "--no-open"]) == 0
     told = capsys.readouterr()
     assert told.out == "" and told.err == "the page is open at somewhere\n" and not calls.opened
-    assert calls.reconstructed[0][1]["json"] is True
+    assert calls.reconstructed[0][3]["json"] is True
 
 
 def test_a_browser_of_the_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch):

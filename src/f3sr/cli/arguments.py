@@ -66,3 +66,8 @@ MaybeMetres = Annotated[float | None, arg(metavar="M", help_behavior_hint=defaul
 Known = Annotated[str, arg(metavar="NAME=METRES", help_behavior_hint=default_shown)]
 Slow = Annotated[float, arg(metavar="FACTOR")]
 Samples = Annotated[int, arg(metavar="N", help_behavior_hint=lambda v: "" if v == "0" else f"(default: {v})")]
+
+
+def names_in(text: str) -> list[str]:
+    """The names in a text, comma separated."""
+    return [name.strip() for name in text.split(",") if name.strip()]

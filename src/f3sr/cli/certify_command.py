@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from f3sr.cli.arguments import Formats, MaybeOut, PackageFolder
+from f3sr.cli.arguments import Formats, MaybeOut, PackageFolder, names_in
 from f3sr.errors import F3srError, InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ def certify(
     from f3sr.certificate.certification import beside, prepare_certificate
     from f3sr.certificate.certification import certify as certified
     from f3sr.cli import console
-    from f3sr.cli.reconstruct_command import names_in
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_package.package import read_package
 

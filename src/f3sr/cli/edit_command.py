@@ -28,7 +28,7 @@ def edit(
     """
     from f3sr import pipeline, settings
     from f3sr.cli import console
-    from f3sr.cli.reconstruct_command import as_json
+    from f3sr.cli.reconstruction_run import as_json
     from f3sr.edits import EditSession, read_edits, write_edited
     from f3sr.edits.unedited import kept_edits
     from f3sr.runtime import kernels

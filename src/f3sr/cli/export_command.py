@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_
 
-from f3sr.cli.arguments import Formats, MaybeOut, PackageFolder
+from f3sr.cli.arguments import Formats, MaybeOut, PackageFolder, names_in
 
 
 def export(
@@ -26,7 +26,6 @@ def export(
         json: Print one JSON object instead of text.
     """
     from f3sr.cli import console
-    from f3sr.cli.reconstruct_command import names_in
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_export import beside, export_package, exporters_of, prepare_export
     from f3sr.scene_package.package import read_package

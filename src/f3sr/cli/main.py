@@ -26,8 +26,9 @@ from f3sr.cli import (
     segment_command,
     studio_command,
 )
-from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out
-from f3sr.cli.reconstruct_command import as_json, columns_of, names_in, reconstruct
+from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out, names_in
+from f3sr.cli.reconstruct_command import reconstruct
+from f3sr.cli.reconstruction_run import as_json, columns_of
 from f3sr.errors import (
     F3srError,
     F3srWarning,

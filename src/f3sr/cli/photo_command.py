@@ -21,7 +21,7 @@ from f3sr.cli.arguments import (
     NormalAxes,
     PrecisionName,
 )
-from f3sr.cli.reconstruct_command import reconstruct
+from f3sr.cli.reconstruction_run import make_package
 from f3sr.cli.segment_command import Boxes, MaybeWords
 from f3sr.cli.segment_command import segment as segment_photo
 from f3sr.errors import F3srError, InputError
@@ -125,26 +125,7 @@ def photo(
         request.require_ready()
         request.hints.known_focal(read_photo(photo))
         _outlined(photo, folder, box, segment, segmenter, ground_segmenter, choice, open=open, json=json)
-    reconstruct(
-        folder,
-        out=package,
-        geometry=geometry,
-        normals=normals,
-        normals_axes=normals_axes,
-        assets=assets,
-        background=background,
-        focal=focal,
-        focal_35mm=focal_35mm,
-        camera_height=camera_height,
-        known=known,
-        device=device,
-        precision=precision,
-        allow_downloads=allow_downloads,
-        config=config,
-        edits=edits,
-        overwrite=overwrite,
-        json=json,
-    )
+    make_package(folder, package, request, overwrite=overwrite, json=json)
     if open and not shown_in_browser((package / PAGE).as_uri()) and not json:
         console.say("no browser was found; open the report yourself")
 

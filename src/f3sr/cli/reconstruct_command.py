@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
-from typing import Any
-
 from f3sr import options
 from f3sr.cli.arguments import (
     Axes,
@@ -23,9 +20,9 @@ from f3sr.cli.arguments import (
     Out,
     PrecisionName,
     Skip,
+    names_in,
 )
-from f3sr.errors import InputError, require_known
-from f3sr.runtime.kept_imports import kept_imports
+from f3sr.errors import require_known
 
 
 def reconstruct(
@@ -94,26 +91,16 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts, and an older export.
         json: Print one JSON object instead of text.
     """
-    with kept_imports():
-        from f3sr import pipeline, scene_export
-        from f3sr.backends.model_choice import ModelChoice
-        from f3sr.cli import console
-        from f3sr.cli.run_request import requested
-        from f3sr.delivery import deliver
-        from f3sr.edits import deliver_edited
-        from f3sr.io.input_folder import INPUT_FOLDER
-        from f3sr.photo_inputs import read_inputs
-        from f3sr.runtime import atomic_folder, kernels
-        from f3sr.runtime.progress import timed, words_to
-        from f3sr.runtime.result_store import Store
-        from f3sr.scene_package import package, package_folder
+    from f3sr.backends.model_choice import ModelChoice
+    from f3sr.cli.reconstruction_run import make_package
+    from f3sr.cli.run_request import requested
+
     require_known("--skip", names_in(skip), options.SKIPPABLE)
-    atomic_folder.recover(out)
     if formats := names_in(export):
+        from f3sr import scene_export
+
         scene_export.exporters_of(formats, option="--export")
         scene_export.prepare_export(scene_export.beside(out), overwrite=overwrite)
-    if package_folder.is_package(folder):
-        raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     request = requested(
         choice=ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads, axes=normals_axes),
         geometry=geometry,
@@ -129,61 +116,16 @@ def reconstruct(
         config=config,
         edits=edits,
     )
-    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
-        with timed("read", progress):
-            given = read_inputs(
-                folder,
-                ignore=names_in(ignore),
-                asset_frame=asset_frame,
-                geometry_noise=geometry_noise,
-                mask_overlap=mask_overlap,
-                fillers=request.fillers.telling(words_to(progress)),
-                hints=request.hints,
-            )
-        package.prepare_output(out, inputs=folder, overwrite=overwrite, edits=request.edits is not None)
-        compilers.begin(progress)
-        result = pipeline.reconstruct(
-            given,
-            request.config,
-            skip=names_in(skip),
-            background=request.background,
-            store=Store.default(),
-            progress=progress,
-        )
-        reports, columns = list(result.reports), columns_of(result.evaluation)
-        if request.edits is None:
-            written = deliver(result, out, overwrite=overwrite, progress=progress)
-        else:
-            written, session = deliver_edited(result, request.edits, out, overwrite=overwrite, progress=progress)
-            reports.append(session.report)
-            columns["edited"] = session.outcome.measures.as_dict()
-        exported = None
-        if formats:
-            exported = scene_export.export_package(
-                package.read_package(written), scene_export.beside(out), formats, overwrite=overwrite, progress=progress
-            )
-    if json:
-        places = {"package": str(written), **({"export": str(exported)} if exported else {})}
-        print(as_json({**places, "seconds": result.seconds, **columns}))
-        return
-    console.say_fallbacks(reports)
-    console.print_measures(columns)
-    console.say(f"package:  {written}")
-    console.say(f"report:   {written / package.PAGE}")
-    if exported:
-        console.say(f"export:   {exported}")
-
-
-def names_in(text: str) -> list[str]:
-    """The names in a text, comma separated."""
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def columns_of(evaluation: Any, name: str = "f3sr") -> dict[str, dict[str, float]]:
-    """The measures of direct composition, where known, and of the result, by title."""
-    return {title: measures.as_dict() for title, measures in evaluation.rows(name).items()} if evaluation else {}
-
-
-def as_json(value: object) -> str:
-    """One line of JSON, for ``--json``."""
-    return json_.dumps(value, allow_nan=False)
+    make_package(
+        folder,
+        out,
+        request,
+        skip=names_in(skip),
+        formats=formats,
+        overwrite=overwrite,
+        json=json,
+        ignore=names_in(ignore),
+        asset_frame=asset_frame,
+        geometry_noise=geometry_noise,
+        mask_overlap=mask_overlap,
+    )
