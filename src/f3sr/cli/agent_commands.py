@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 import sys
 import time
 from pathlib import Path
@@ -94,7 +93,7 @@ def materials(package: PackageFolder, /, model: RequiredModel, overwrite: bool =
     if json:
         names = ("id", "label", "material", "density", "friction", "restitution", "source")
         told = {"objects": [dict(zip(names, row, strict=True)) for row in rows], "kept": list(found.kept)}
-        print(json_.dumps(told | {"disagreements": list(found.disagreements)}, allow_nan=False))
+        console.print_json(told | {"disagreements": list(found.disagreements)})
         return
     console.print_table(
         [(str(id), printable(label), printable(made), *(f"{v:.4g}" for v in values), source)

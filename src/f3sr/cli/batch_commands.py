@@ -178,7 +178,7 @@ def stats(dataset: DatasetPlace, /, where: Where = (), json: bool = False) -> No
 
     told = summary(Dataset.read(dataset), where)
     if json:
-        print(json_.dumps(told, allow_nan=False))
+        console.print_json(told)
         return
     console.say(f"{told['scenes']} scenes: {_counted(told['status'])}")
     console.say(f"{told['objects']} objects; goals: {_counted(told['goals']) or 'none'}")

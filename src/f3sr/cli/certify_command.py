@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
@@ -64,7 +63,7 @@ def certify(
             progress=progress,
         )
     if json:
-        print(json_.dumps({"folder": str(place), **as_plain(made)}, allow_nan=False))
+        console.print_json({"folder": str(place), **as_plain(made)})
     else:
         rows = [(row.client.name, row.state, _told(row) or row.reason) for row in made.engines]
         rows += [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Generator, Iterable, Mapping, Sequence
@@ -21,6 +22,11 @@ CURSOR_BACK = b"\r\x1b[K\x1b[?25h"
 
 def say(text: str) -> None:
     print(text, flush=True)
+
+
+def print_json(value: object) -> None:
+    """One line of JSON, for ``--json``. Raises ValueError for what is not finite."""
+    print(json.dumps(value, allow_nan=False))
 
 
 def say_aside(text: str) -> None:

@@ -28,7 +28,6 @@ def edit(
     """
     from f3sr import pipeline, settings
     from f3sr.cli import console
-    from f3sr.cli.reconstruction_run import as_json
     from f3sr.edits import EditSession, read_edits, write_edited
     from f3sr.edits.unedited import kept_edits
     from f3sr.runtime import kernels
@@ -57,7 +56,7 @@ def edit(
             for o in session.outcomes
             if o.edit is not None
         ]
-        print(as_json({"package": str(written), "edits": told, **columns}))
+        console.print_json({"package": str(written), "edits": told, **columns})
         return
     console.say_fallbacks([session.report])
     console.print_measures(columns)

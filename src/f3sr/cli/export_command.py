@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
-
 from f3sr.cli.arguments import Formats, MaybeOut, PackageFolder, names_in
 
 
@@ -38,6 +36,6 @@ def export(
     with console.steps_shown(quiet=json) as progress:
         written = export_package(content, place, formats, overwrite=overwrite, progress=progress)
     if json:
-        print(json_.dumps({"folder": str(written), "formats": sorted(set(formats))}))
+        console.print_json({"folder": str(written), "formats": sorted(set(formats))})
     else:
         console.say(f"export:   {written}")

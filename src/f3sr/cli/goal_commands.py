@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -78,6 +77,7 @@ def simulate(
         json: Print one JSON object instead of text.
     """
     with kept_imports():
+        from f3sr.cli import console
         from f3sr.goals.refusal import Refusal
         from f3sr.play import rollout_folder
         from f3sr.play.languages import LANGUAGES, CheckedLanguage
@@ -119,7 +119,7 @@ def simulate(
                 _show(() if json else film_lines(told, decided))
                 decided.update(told["decisions"])
     if json:
-        print(json_.dumps({"goals": tellings}, allow_nan=False))
+        console.print_json({"goals": tellings})
     if failed:
         raise failed
     _end(tellings)
@@ -135,6 +135,7 @@ def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1
         slow: How many times slower than life, 0.125 to 100.
         json: Print one JSON object instead of text.
     """
+    from f3sr.cli import console
     from f3sr.goals.verify import verify
     from f3sr.play import rollout_folder
     from f3sr.play.goal_loop import Played
@@ -149,7 +150,7 @@ def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1
         _finish(compilers, quiet=json)
         told = filmed(lambda: _studio(found.package, slow), played, place)
     if json:
-        print(json_.dumps(told, allow_nan=False))
+        console.print_json(told)
     else:
         _show(film_lines(told, ()))
 
@@ -283,7 +284,7 @@ def goals(package: PackageFolder, /, json: bool = False) -> None:
 
     entries = menu(read_package(package).scene)
     if json:
-        print(json_.dumps({"objects": [asdict(e) for e in entries]}, allow_nan=False))
+        console.print_json({"objects": [asdict(e) for e in entries]})
         return
     rows = [
         (str(e.id), printable(e.name), ", ".join(e.verbs) or "fixed", "holds things" if e.holds_things else "")

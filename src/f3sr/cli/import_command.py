@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -75,7 +74,7 @@ def import_scene(
         told = {"source": written.source, "masks": written.masks, "poses": written.poses}
         remarks = list(written.remarks)
         counts = {"folder": str(written.folder), "objects": written.objects, "left_out": unseen}
-        print(json_.dumps({**counts, **told, "remarks": remarks}))
+        console.print_json({**counts, **told, "remarks": remarks})
         return
     console.say(f"source:   {written.source}")
     console.say(f"objects:  {written.objects}, masks {written.masks}, poses {written.poses}")

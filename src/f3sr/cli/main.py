@@ -28,7 +28,7 @@ from f3sr.cli import (
 )
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out, names_in
 from f3sr.cli.reconstruct_command import reconstruct
-from f3sr.cli.reconstruction_run import as_json, columns_of
+from f3sr.cli.reconstruction_run import columns_of
 from f3sr.errors import (
     F3srError,
     F3srWarning,
@@ -168,7 +168,7 @@ def evaluate(
             measured = stage.evaluate(scene, direct, chosen.evaluate, foreign=foreign, true_scale=true_scale)
     columns = columns_of(measured, name)
     if json:
-        print(as_json(columns))
+        console.print_json(columns)
     else:
         console.print_measures(columns)
 
@@ -208,7 +208,7 @@ def doctor(json: bool = False) -> None:
 
     checks = examine()
     if json:
-        print(as_json({"checks": [asdict(check) for check in checks]}))
+        console.print_json({"checks": [asdict(check) for check in checks]})
     else:
         console.print_table(
             [(c.state, c.group, c.name, c.found) for c in checks], header=("state", "group", "name", "found")

@@ -94,8 +94,10 @@ def reconstruct(
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli.reconstruction_run import make_package
     from f3sr.cli.run_request import requested
+    from f3sr.runtime import atomic_folder
 
     require_known("--skip", names_in(skip), options.SKIPPABLE)
+    atomic_folder.recover(out)
     if formats := names_in(export):
         from f3sr import scene_export
 

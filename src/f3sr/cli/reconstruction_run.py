@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-import json as json_
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from f3sr.errors import InputError
 from f3sr.runtime.kept_imports import kept_imports
 
 if TYPE_CHECKING:
     from f3sr.cli.run_request import RunRequest
+    from f3sr.stages.evaluate import Evaluation
+
+
+class Reading(TypedDict, total=False):
+    """How ``read_inputs`` reads the folder, in its words."""
+
+    ignore: Collection[str]
+    asset_frame: str
+    geometry_noise: float | None
+    mask_overlap: float | None
 
 
 def make_package(
@@ -23,11 +32,11 @@ def make_package(
     formats: Sequence[str] = (),
     overwrite: bool = False,
     json: bool = False,
-    **reading: Any,
+    **reading: Unpack[Reading],
 ) -> None:
     """Reconstruct the folder into ``out``, export it to ``formats``, and print measures and places.
 
-    ``reading`` goes to ``read_inputs``. Raises F3srError."""
+    Raises F3srError."""
     with kept_imports():
         from f3sr import pipeline, scene_export
         from f3sr.cli import console
@@ -35,11 +44,10 @@ def make_package(
         from f3sr.edits import deliver_edited
         from f3sr.io.input_folder import INPUT_FOLDER
         from f3sr.photo_inputs import read_inputs
-        from f3sr.runtime import atomic_folder, kernels
+        from f3sr.runtime import kernels
         from f3sr.runtime.progress import timed, words_to
         from f3sr.runtime.result_store import Store
         from f3sr.scene_package import package, package_folder
-    atomic_folder.recover(out)
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
@@ -70,7 +78,7 @@ def make_package(
             )
     if json:
         places = {"package": str(written), **({"export": str(exported)} if exported else {})}
-        print(as_json({**places, "seconds": result.seconds, **columns}))
+        console.print_json({**places, "seconds": result.seconds, **columns})
         return
     console.say_fallbacks(reports)
     console.print_measures(columns)
@@ -80,11 +88,6 @@ def make_package(
         console.say(f"export:   {exported}")
 
 
-def columns_of(evaluation: Any, name: str = "f3sr") -> dict[str, dict[str, float]]:
+def columns_of(evaluation: Evaluation | None, name: str = "f3sr") -> dict[str, dict[str, float]]:
     """The measures of direct composition, where known, and of the result, by title."""
     return {title: measures.as_dict() for title, measures in evaluation.rows(name).items()} if evaluation else {}
-
-
-def as_json(value: object) -> str:
-    """One line of JSON, for ``--json``."""
-    return json_.dumps(value, allow_nan=False)

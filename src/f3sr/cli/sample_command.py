@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -72,7 +71,7 @@ def sample(
         claim.write(INDEX, dump_json(told))
         claim.replace()
     if json:
-        print(json_.dumps(told | {"folder": str(folder)}, allow_nan=False))
+        console.print_json(told | {"folder": str(folder)})
         return
     console.print_table(
         [(f"{s['id']}", s["label"], f"{s['position_mm']:.1f}", f"{s['turn_deg']:.1f}", f"{s['size_pct']:.1f}")

@@ -131,7 +131,7 @@ def segment(
     written = write_input_folder(folder, photo=photo, objects=found, ground=outlines.ground, selection=selection)
     if json:
         pixels = {id: int(o.mask.sum()) for id, o in found.items()}
-        print(json_.dumps({"folder": str(written), "pixels": pixels} | ({"told": told} if told else {})))
+        console.print_json({"folder": str(written), "pixels": pixels} | ({"told": told} if told else {}))
         return
     for line in told:
         console.say(line)
