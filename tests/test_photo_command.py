@@ -94,10 +94,10 @@ def test_a_page_without_a_result_ends_it(photo: Path, calls: Calls, capsys: pyte
 
 def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: Path):
     assert main(["photo", str(photo), *BOXES]) == 0
-    assert main(["photo", str(tmp_path / "my table_input"), "--no-open", "--background", "openai:painter"]) == 0
+    assert main(["photo", str(tmp_path / "my table_input"), "--no-open", "--background", "lama:big.pt"]) == 0
     folder, out, request, _ = calls.reconstructed[1]
     assert folder == tmp_path / "my table_input" and out == tmp_path / "my table_scene"
-    assert request.background and "painter" in request.background.key
+    assert request.background and request.background.name == "lama"
     assert len(calls.opened) == 1 and not calls.pages
 
 
