@@ -281,7 +281,7 @@ def _round(
     tried = again(state, ids)
     kept, decision, undone = _better(state, tried, ids, step, config)
     decisions = [decision]
-    alone = _wouldmean_gain(state, tried, undone, AGAIN)
+    alone = _would_gain(state, tried, undone, AGAIN)
     if alone and len(alone) < len(ids):
         step = f"re-alignment under contact of {_named(alone)} alone"
         kept, decision, _ = _better(kept, again(kept, alone), alone, step, config)
@@ -329,7 +329,7 @@ def _not_at_rest(ids: Sequence[int]) -> str:
     return f", and object {_named(ids)} does not come to rest" if ids else ""
 
 
-def _wouldmean_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:
+def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:
     """Objects that show more of their masks in a state that was undone, without what will not rest there and all that
     carries it or is carried by it."""
     before, after = state.scene, tried.scene
