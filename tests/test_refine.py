@@ -449,3 +449,21 @@ def test_a_friction_that_was_raised_is_told(touching: Scene):
     after, outcome = retried(start, NO_ROUND, aligned=touching, parted=start, balanced=balanced)
     assert after[1].friction == 0.8
     assert [(d.about, d.choice) for d in outcome.decisions if d.about is not None] == [(1, "friction 0.6 -> 0.8")]
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_what_overlaps_is_not_kept_unless_it_did_before(touching: Scene, before: bool):
+    """However well it shows the photo."""
+    deep = touching.with_objects(touching[1].moved(pose(t=[-0.01, 0, 0]), stage="test", reason=""))
+    ids = rasterizer.visible_ids(deep.objects, deep.camera)
+    seen = deep.with_objects(*(replace(o, mask=ids == o.id) for o in deep))
+    start = shifted(seen, {0: 0.06, 1: 0.06 if before else 0.09})
+    tried = SettledScene(scene=seen, restless=frozenset())
+    assert tried.overlapping == {0, 1}
+
+    def balanced(_: Scene, **_others: object) -> SettledScene:
+        return tried
+
+    after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, balanced=balanced)
+    assert (after[0] is seen[0]) == before
+    assert outcome.decisions[0].reason.endswith("and object 0, 1 overlaps another") != before

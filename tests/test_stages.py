@@ -24,6 +24,7 @@ from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.separate.overlaps import lift_out
 from f3sr.stages.separate.placement import Placement
 from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
@@ -388,6 +389,36 @@ def test_what_is_said_to_be_inside_but_stands_beside_is_parted():
     after, outcome = separate(replace(scene, graph=SceneGraph(relations=(relation,), source="test")))
     assert outcome.report.value("overlapping pairs") == 0
     assert after[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-4)
+
+
+def interlocked() -> Scene:
+    """Two crates, each with a wall through the other's floor: no short move parts them."""
+    first, second = crate(0), crate(1)
+    return scene_of(
+        first, second.moved(pose(t=[0.05, 0.02, 0.04]), stage="test", reason=""), box(2, at=(0.05, 0.02, 0.12))
+    )
+
+
+def test_what_cannot_be_parted_is_lifted_and_told():
+    """With what it carries; of two bodies the higher one, and nothing that is fixed."""
+    scene = interlocked()
+    scene = scene.with_objects(replace(scene[2], supported_by=1, supports=(Support(id=1),)))
+    layout = Placement(scene)
+    told = lift_out(layout, SeparateConfig())
+    assert not layout.collisions()
+    assert [d.about for d in told] == [1] and all(d.fallback for d in told)
+    rises = [layout.moved_scene()[id].bounds_world[0, 2] - scene[id].bounds_world[0, 2] for id in (0, 1, 2)]
+    assert rises[0] == pytest.approx(GAP, abs=1e-9) or rises[0] == 0
+    assert rises[1] == pytest.approx(rises[2]) and rises[1] > 0.02
+
+
+def test_what_is_fixed_is_not_lifted():
+    scene = interlocked()
+    held = Placement(scene.with_objects(*(replace(o, mobility="fixed") for o in scene)))
+    assert not lift_out(held, SeparateConfig()) and held.collisions()
+    below = Placement(scene.with_objects(replace(scene[1], mobility="fixed")))
+    told = lift_out(below, SeparateConfig())
+    assert 1 not in {d.about for d in told} and not below.collisions()
 
 
 def test_plain_lift_is_exact_and_carries_the_stack():

@@ -24,22 +24,26 @@ from f3sr.scene import GROUND, Ground, Scene, Support
 from f3sr.stages.uncertainty import uncertainty
 from f3sr.uncertainty import sampling
 from f3sr.uncertainty.config import UncertaintyConfig
-from f3sr.uncertainty.pose_information import Information, of_depth, of_picture
+from f3sr.uncertainty.pose_information import Information, of_depth, of_picture, precisions
 from f3sr.uncertainty.sampling import Rejected, Sample, SamplingConfig, draw
 from f3sr.vision import depth_prior, rasterizer
 from f3sr.vision.motion_params import intrinsics_velocities, similarity_velocities
 from scenes import ball_mesh, box, box_stack_scene, measured, scene_of, visible_iou
 
 
-@pytest.fixture(scope="module")
-def pile() -> Scene:
-    """Three boxes on each other, large in the picture, with the masks that they show."""
-    scene = box_stack_scene(3)
+def large(scene: Scene) -> Scene:
+    """The scene ten times as fine, with the masks that its objects show."""
     camera = replace(scene.camera.resized(640, 480), T_world_camera=scene.camera.T_world_camera)
     photo = replace(scene.photo, rgb=np.zeros((480, 640, 3), np.uint8))
     seen = rasterizer.render(scene.objects, camera)
     objects = tuple(replace(o, mask=seen.ids == o.id) for o in scene)
     return replace(scene, camera=camera, photo=photo, objects=objects)
+
+
+@pytest.fixture(scope="module")
+def pile() -> Scene:
+    """Three boxes on each other."""
+    return large(box_stack_scene(3))
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
@@ -118,6 +122,16 @@ def test_nothing_shows_the_yaw_of_a_ball():
     known = uncertainty(scene)[1].poses[0]
     assert known.yaw > np.pi / 2
     assert known.size < 0.2
+
+
+def test_a_scale_costs_what_it_takes_from_the_picture():
+    """A shift of a ball moves its outline by its cosine, a scale all of it: that costs twice as much. Were a stretched
+    shape allowed for, as in the covariance, a scale that takes a tenth of the mask would cost next to nothing."""
+    ball = replace(box(0), mesh=ball_mesh(0.1), T_world_object=pose(t=np.array([0, 0, 0.1])))
+    scene = large(scene_of(ball))
+    cost = precisions(scene, [0], UncertaintyConfig())[0]
+    across = scene.camera.T_world_camera[:3, 0]
+    assert cost[6, 6] / 0.1**2 == pytest.approx(2 * across @ cost[:3, :3] @ across, rel=0.15)
 
 
 def test_a_sensor_makes_distances_certain(pile: Scene):

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
+from f3sr.contact.compounds import collide, placed
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.scene import Scene
@@ -34,6 +35,13 @@ class SettledScene:
         return visible_ious(self.scene)
 
     @cached_property
+    def overlapping(self) -> frozenset[int]:
+        """Ids of the objects whose colliders overlap another's."""
+        bodies = {o.id: placed(o.solids, o.T_world_asset) for o in self.scene}
+        pairs = (pair for pair in combinations(bodies, 2) if collide(*map(bodies.__getitem__, pair)))
+        return frozenset(id for pair in pairs for id in pair)
+
+    @cached_property
     def scores(self) -> Mapping[int, float]:
         """``ious``, less what an object's distance from its measured depth would cost across the viewing rays."""
         errors = depth_errors(self.scene)
@@ -56,15 +64,15 @@ class SettledScene:
         return SettledScene(scene=scene, restless=self.restless - ids | other.restless & ids)
 
     def or_better(self, other: SettledScene, apart: float) -> SettledScene:
-        """This scene with those groups of another one that rest, where these do not, or agree better with the photo.
+        """This scene with those groups of another one that overlap less, or rest, where these do not, or agree better
+        with the photo.
 
         Objects with ``apart`` [m] between them belong to different groups."""
-        better = [
-            g
-            for g in groups_of(self.scene, other.scene, apart)
-            if (not g & other.restless, _mean(other.scores, g)) > (not g & self.restless, _mean(self.scores, g))
-        ]
+        better = [g for g in groups_of(self.scene, other.scene, apart) if other._rank(g) > self._rank(g)]
         return self.with_groups(other, better)
+
+    def _rank(self, group: set[int]) -> tuple[bool, bool, float]:
+        return not group & self.overlapping, not group & self.restless, _mean(self.scores, group)
 
 
 def mean_gain(ids: Collection[int], was: Mapping[int, float], now: Mapping[int, float]) -> float:

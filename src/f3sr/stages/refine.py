@@ -296,8 +296,8 @@ def _named(ids: Sequence[int]) -> str:
 def _better(
     state: SettledScene, tried: SettledScene, ids: Sequence[int], step: str, config: RefineConfig
 ) -> tuple[SettledScene, Decision, list[int]]:
-    """``state`` with the groups of ``tried`` that agree better with the photo and its measured depth, and rest, unless
-    they did not before; and which of the ``ids`` that were tried were undone.
+    """``state`` with the groups of ``tried`` that agree better with the photo and its measured depth, rest and do not
+    overlap, unless they did before; and which of the ``ids`` that were tried were undone.
 
     One group may hide another, so what each gains it may only gain together: all that gain, or all that lose little."""
     was, now = state.scores, tried.scores
@@ -307,12 +307,15 @@ def _better(
         if g.intersection(ids)
         and mean_gain(g, state.ious, tried.ious) >= -HOPELESS
         and g & tried.restless <= state.restless
+        and g & tried.overlapping <= state.overlapping
     ]
     gaining = [g for g in able if mean_gain(g, was, now) > GAIN]
     candidates = [(state.with_groups(tried, groups), groups) for groups in (gaining, able)] if gaining else []
     best, changed = max(candidates, key=lambda c: c[0].score, default=(state, []))
     if best.score <= state.score:
         reason = _told(state, tried) + _not_at_rest(sorted(tried.restless - state.restless))
+        if crossing := sorted(tried.overlapping - state.overlapping):
+            reason += f", and object {_named(crossing)} overlaps another"
         return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
     undone = [id for id in ids if not any(id in g for g in changed)]
     but = f" but for {_named(undone)}" if undone else ""

@@ -109,6 +109,8 @@ def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyCon
         detail = Appearance.of(scene.photo, camera, window, mask & region).mismatch(o, velocities)
         noise = config.fitting_detail if fits else max(detail.value, config.least_mismatch)
         found += config.detail / noise * detail.curvature
+    if fits:
+        return found
     # A shape that is stretched looks like another scale: that nuisance is marginalised (a Schur complement).
     stretched = found[:, SCALE]
     return found - np.outer(stretched, stretched) / (found[SCALE, SCALE] + config.stretch**-2)

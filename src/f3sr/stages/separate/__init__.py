@@ -11,7 +11,7 @@ import numpy as np
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.overlaps import take_beside
+from f3sr.stages.separate.overlaps import lift_out, take_beside
 from f3sr.stages.separate.placement import Placement
 from f3sr.stages.separate.stability_shifts import steady
 from f3sr.stages.separate.standing import on_footings_in_place, on_own_footings, stand
@@ -77,12 +77,15 @@ def separate(
     before = len(layout.collisions())
     decisions = take_beside(layout, config)
     decisions += bring_into_contact(layout, config)
+    decisions += lift_out(layout, config)
     decisions += stand(layout, config)
     margins, told = steady(layout, config, margin=margin)
     decisions += told
     left = layout.collisions()
     decisions += [
-        Decision(choice=f"still overlaps {name_of(b)} after separation", reason="no free place found", about=a)
+        Decision(
+            choice=f"still overlaps {name_of(b)} after separation", reason="no free place found", about=a, fallback=True
+        )
         for a, b in left
     ]
     return layout.moved_scene(), Separated(

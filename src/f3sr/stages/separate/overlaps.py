@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -9,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from f3sr.contact import crowds, joint_separation
-from f3sr.contact.compounds import collide, smallest_shift
+from f3sr.contact.compounds import Compound, collide, smallest_shift
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
@@ -18,6 +19,8 @@ from f3sr.stages.separate.placement import Placement
 
 ROUNDS = 16
 """Most rounds of horizontal parting; the report allows 32."""
+LIFTS = 100
+"""Most lifts of a scene: each frees a body, and another may then be in its way."""
 UNFELT = 0.1
 """IoU that a move by its own size costs an object, in directions that change no silhouette and no depth."""
 
@@ -94,6 +97,42 @@ def part_in_space(layout: Placement, config: SeparateConfig) -> bool:
     for id, shift in found.shifts.items():
         layout.shift_in_view(id, shift)
     return found.cost > 0
+
+
+def lift_out(layout: Placement, config: SeparateConfig) -> list[Decision]:
+    """Lift what still overlaps another body or the ground until it is free, with all that it carries.
+
+    Of two bodies the higher one is lifted. Nothing but the picture may suffer, so this is the last resort."""
+    lifted = Counter[int]()
+    for _ in range(LIFTS):
+        able = (_higher(layout, a, b) for a, b in layout.collisions())
+        id = next((id for id in able if id is not None), None)
+        if id is None:
+            break
+        members = layout.scene.subtree(id)
+        others = Compound.of(body for k, body in layout.bodies.items() if k not in members)
+        rises = [smallest_shift(layout.bodies[k], others, UP, config.clearance) for k in members]
+        rise = max(*rises, config.clearance - min(map(layout.lowest, members)))
+        layout.move(members, rise * UP)
+        lifted[id] += 1000 * rise
+    reason = "it overlapped, and there is no free place nearer"
+    return [
+        Decision(choice=f"lifted by {rise:.0f} mm", reason=reason, about=id, fallback=True)
+        for id, rise in lifted.items()
+    ]
+
+
+def _higher(layout: Placement, a: int, b: int) -> int | None:
+    """The higher one of two bodies that may be lifted off the other, with all that it carries; None where none may."""
+    for id, other in sorted(((a, b), (b, a)), key=lambda pair: -_middle(layout, pair[0])):
+        members = layout.scene.subtree(id) if id != GROUND else ()
+        if members and other not in members and all(layout.scene[k].mobility != "fixed" for k in members):
+            return id
+    return None
+
+
+def _middle(layout: Placement, id: int) -> float:
+    return -np.inf if id == GROUND else float(layout.bodies[id].bounds[:, 2].mean())
 
 
 def weight_in_space(layout: Placement, id: int) -> Array:
