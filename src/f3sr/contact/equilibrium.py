@@ -31,6 +31,7 @@ from f3sr.contact.force_balance import Balance
 from f3sr.contact.least_norm import nearly, shortest
 from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.near_contacts import NearContacts, footing_contacts, near_contacts
+from f3sr.contact.stabilize import CONE_EDGES
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.pose_uncertainty import PARAMETERS, SHIFT, TURN, parameters, similarity
 from f3sr.core.transforms import Array, cross, pose
@@ -70,10 +71,9 @@ a thirtieth of the first, 18 of 19 groups end alike, but what has yet to lie dow
 FITS = 2e-4
 """Travel [m] up to which a footing is not made anew."""
 HOLDS = RELEASE_FRICTION[0]
-"""Most friction that forces rely on: a scene must rest with it too."""
-SEARCH_EDGES, END_EDGES = 8, 16
-"""Edges of the friction pyramids in the search and at its end: they have .92 and .98 of the friction in all directions,
-four edges .71."""
+"""Most friction that forces rely on in the search: a scene must rest with it too."""
+FRICTIONS = (0.6, 0.8, 1.0)
+"""Coefficients of friction that are tried, the least first, where a guess is too low: rubber on wood has 1."""
 FINAL = 1e5
 """Least rho with which footings stay as they are, and keep out of other bodies like all parts."""
 
@@ -187,9 +187,7 @@ class _EquilibriumSearch:
         ground_friction: float,
         footings: Footings | None,
     ) -> None:
-        self.bodies = {
-            b.id: replace(b, friction=min(b.friction, HOLDS), fixed=b.fixed or b.id not in precisions) for b in bodies
-        }
+        self.bodies = {b.id: replace(b, fixed=b.fixed or b.id not in precisions) for b in bodies}
         self.ids = [id for id, b in self.bodies.items() if not b.fixed]
         self.places = {id: slice(PARAMETERS * k, PARAMETERS * (k + 1)) for k, id in enumerate(self.ids)}
         self.clearance, self.ground_friction = clearance, min(ground_friction, HOLDS)
@@ -277,13 +275,16 @@ class _EquilibriumSearch:
         return work, self._move(share * dx)
 
     def friction_needed(self, guessed: Collection[int]) -> Mapping[int, float]:
-        """``HOLDS`` for those that are ``guessed`` lower, by id, where that balances all weights and theirs do not."""
-        more = {id: HOLDS for id in guessed if self.bodies[id].friction < HOLDS}
-        if not more:
+        """Coefficients, by id, with which all weights are balanced where the bodies are: the least of ``FRICTIONS``,
+        for those that are ``guessed`` lower. None where theirs do, or where none of these does."""
+        low = {id: self.bodies[id].friction for id in guessed if self.bodies[id].friction < FRICTIONS[-1]}
+        if not low:
             return {}
         _, near, _ = self._near()
-        works = (self._forces(near, TILTS, given, edges=END_EDGES)[1] for given in ({}, more))
-        return more if next(works) >= BALANCED > next(works) else {}
+        if self._forces(near, TILTS)[1] < BALANCED:
+            return {}
+        tried = ({id: friction for id, was in low.items() if was < friction} for friction in FRICTIONS)
+        return next((more for more in tried if more and self._forces(near, TILTS, more)[1] < BALANCED), {})
 
     def _near(self) -> tuple[NearContacts, NearContacts, NDArray[np.int64]]:
         """Contacts of bodies, the same with those of footings, and by which of the first each gap closes."""
@@ -317,24 +318,20 @@ class _EquilibriumSearch:
         return min(STEP * self.bodies[id].size / max(shift, tiny), TURN_STEP / max(turn, tiny))
 
     def _forces(
-        self,
-        near: NearContacts,
-        tilts: Array,
-        friction: Mapping[int, float] | None = None,
-        *,
-        edges: int = SEARCH_EDGES,
+        self, near: NearContacts, tilts: Array, friction: Mapping[int, float] | None = None
     ) -> tuple[Array, float]:
         """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres.
 
-        ``friction``, by id, instead of that of the bodies."""
+        ``friction``, by id, instead of that of the bodies, of which ``HOLDS`` counts at most."""
         from scipy.sparse import eye_array, hstack
 
-        bodies = [replace(b, friction=(friction or {}).get(b.id, b.friction)) for b in self.bodies.values()]
+        rough = {id: min(b.friction, HOLDS) for id, b in self.bodies.items()} | dict(friction or {})
+        bodies = [replace(b, friction=rough[id]) for id, b in self.bodies.items()]
         group = [self.bodies[id] for id in self.ids]
-        balance = Balance(group, bodies, near.contacts, self.ground_friction, edges=edges)
+        balance = Balance(group, bodies, near.contacts, self.ground_friction, edges=CONE_EDGES)
         rows, mean = 6 * len(group), float(balance.masses.mean())
         way = np.maximum(near.gaps[balance.rows] - self.clearance, 0.0) + NEEDLESS
-        cost = np.r_[np.repeat(way * balance.units, edges), np.tile(UNBALANCED * np.repeat(balance.masses, 6), 2)]
+        cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(UNBALANCED * np.repeat(balance.masses, 6), 2)]
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
         forces, left, work = np.zeros(len(near.gaps)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
@@ -345,7 +342,7 @@ class _EquilibriumSearch:
             if found is None:  # rounding: no force is known to be needed
                 work.append(np.inf)
                 continue
-            pushes, slack = found.x[: -2 * rows].reshape(-1, edges), found.x[-2 * rows :]
+            pushes, slack = found.x[: -2 * rows].reshape(-1, CONE_EDGES), found.x[-2 * rows :]
             forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
             left = np.maximum(left, slack.reshape(2, rows).max(0))
             work.append(found.value / mean)
