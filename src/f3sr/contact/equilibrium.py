@@ -72,8 +72,9 @@ FITS = 2e-4
 """Travel [m] up to which a footing is not made anew."""
 HOLDS = RELEASE_FRICTION[0]
 """Most friction that forces rely on in the search: a scene must rest with it too."""
-FRICTIONS = (0.6, 0.8, 1.0)
-"""Coefficients of friction that are tried, the least first, where a guess is too low: rubber on wood has 1."""
+TRIED = 1.0
+"""Coefficient of friction that tells whether more of it helps. Pyramids of ``CONE_EDGES`` have .71 of it in some
+directions, and ``TILTS`` ask for more than physics does."""
 FINAL = 1e5
 """Least rho with which footings stay as they are, and keep out of other bodies like all parts."""
 
@@ -275,16 +276,15 @@ class _EquilibriumSearch:
         return work, self._move(share * dx)
 
     def friction_needed(self, guessed: Collection[int]) -> Mapping[int, float]:
-        """Coefficients, by id, with which all weights are balanced where the bodies are: the least of ``FRICTIONS``,
-        for those that are ``guessed`` lower. None where theirs do, or where none of these does."""
-        low = {id: self.bodies[id].friction for id in guessed if self.bodies[id].friction < FRICTIONS[-1]}
+        """``HOLDS`` for those that are ``guessed`` lower, by id, where not all weights are balanced and more friction
+        helps."""
+        low = [id for id in guessed if self.bodies[id].friction < HOLDS]
         if not low:
             return {}
         _, near, _ = self._near()
-        if self._forces(near, TILTS)[1] < BALANCED:
-            return {}
-        tried = ({id: friction for id, was in low.items() if was < friction} for friction in FRICTIONS)
-        return next((more for more in tried if more and self._forces(near, TILTS, more)[1] < BALANCED), {})
+        _, work = self._forces(near, TILTS)
+        helps = work >= BALANCED and self._forces(near, TILTS, dict.fromkeys(low, TRIED))[1] < BALANCED
+        return dict.fromkeys(low, HOLDS) if helps else {}
 
     def _near(self) -> tuple[NearContacts, NearContacts, NDArray[np.int64]]:
         """Contacts of bodies, the same with those of footings, and by which of the first each gap closes."""
