@@ -127,6 +127,18 @@ def test_of_two_scenes_each_group_is_taken_where_it_rests_and_then_where_it_show
     assert best(a=[0, 1], b=[0, 1]).restless == {0, 1}
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_of_two_scenes_a_group_is_taken_where_nothing_overlaps_whatever_it_shows(touching: Scene, first: bool):
+    deep = touching.with_objects(touching[1].moved(pose(t=[-0.01, 0, 0]), stage="test", reason=""))
+    ids = rasterizer.visible_ids(deep.objects, deep.camera)
+    seen = deep.with_objects(*(replace(o, mask=ids == o.id) for o in deep))
+    overlaps, apart = (SettledScene(scene=s, restless=frozenset()) for s in (seen, shifted(seen, {0: -0.05})))
+    assert overlaps.score > apart.score + 0.1
+    one, other = (overlaps, apart) if first else (apart, overlaps)
+    best = one.or_better(other, ONCE.contact.apart)
+    assert np.array_equal(best.scene[0].T_world_object, apart.scene[0].T_world_object)
+
+
 def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen: Scene):
     fell = seen[0].moved(pose(rotation_about([1, 0, 0], np.pi / 2)), stage="test", reason="")
     start = seen.with_objects(fell, seen[1].moved(pose(t=[0.01, 0, 0]), stage="test", reason=""))

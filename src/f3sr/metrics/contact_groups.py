@@ -38,8 +38,7 @@ class SettledScene:
     def overlapping(self) -> frozenset[int]:
         """Ids of the objects whose colliders overlap another's."""
         bodies = {o.id: placed(o.solids, o.T_world_asset) for o in self.scene}
-        pairs = (pair for pair in combinations(bodies, 2) if collide(*map(bodies.__getitem__, pair)))
-        return frozenset(id for pair in pairs for id in pair)
+        return frozenset(id for a, b in combinations(bodies, 2) if collide(bodies[a], bodies[b]) for id in (a, b))
 
     @cached_property
     def scores(self) -> Mapping[int, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -102,8 +102,8 @@ def part_in_space(layout: Placement, config: SeparateConfig) -> bool:
 def lift_out(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Lift what still overlaps another body or the ground until it is free, with all that it carries.
 
-    Of two bodies the higher one is lifted. Nothing but the picture may suffer, so this is the last resort."""
-    lifted = Counter[int]()
+    Of two bodies the higher one is lifted. This is the last resort, as what is lifted leaves its mask."""
+    lifted = defaultdict[int, float](float)
     for _ in range(LIFTS):
         able = (_higher(layout, a, b) for a, b in layout.collisions())
         id = next((id for id in able if id is not None), None)
