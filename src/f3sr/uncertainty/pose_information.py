@@ -91,7 +91,7 @@ def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyCon
 
     What the best pose leaves of each loss is its noise: the outline errs in some independent places, ``outline``, and
     the detail in others. So a mesh that is not quite the object tells less of where it is. ``fits``: the noise is that
-    of a mesh that fits, whatever the loss is."""
+    of a mesh that fits, whatever the loss is, and of one that is not stretched."""
     camera = scene.camera
     window = window_around(o, camera, config.resolution)
     mask, region = (sampled(m, camera, window, fill=False) for m in (o.mask, valid))
