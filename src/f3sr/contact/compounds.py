@@ -6,7 +6,8 @@ kernel over the pairs of parts whose boxes meet.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple, Self, overload
 from weakref import WeakKeyDictionary
 
@@ -128,6 +129,11 @@ def placed(parts: Iterable[ConvexPart], T: Array) -> Compound:
 def collide(A: Parts, B: Parts, tolerance: float = 0.0) -> bool:
     """Equation 10: whether some pair of parts overlaps deeper than ``tolerance`` and than contact."""
     return bool(_collide(_arrays(A), _arrays(B), tolerance))
+
+
+def overlapping_pairs(bodies: Mapping[int, Parts]) -> list[tuple[int, int]]:
+    """Pairs of ids whose bodies ``collide``."""
+    return [(a, b) for a, b in combinations(bodies, 2) if collide(bodies[a], bodies[b])]
 
 
 def smallest_shift(A: Parts, B: Parts, direction: ArrayLike, clearance: float = 0.0) -> float:

@@ -115,7 +115,7 @@ class Equilibrium:
     work: float
     """Virtual work that is left [mean weights times metres]: 0 where all weights are balanced."""
     friction: Mapping[int, float]
-    """Coefficients that balance all weights where those of the bodies do not, by id."""
+    """Larger coefficients of bodies that would slide with theirs, by id."""
 
 
 def nearest_equilibrium(

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact.compounds import collide, placed
+from f3sr.contact.compounds import overlapping_pairs, placed
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.scene import Scene
@@ -38,7 +38,7 @@ class SettledScene:
     def overlapping(self) -> frozenset[int]:
         """Ids of the objects whose colliders overlap another's."""
         bodies = {o.id: placed(o.solids, o.T_world_asset) for o in self.scene}
-        return frozenset(id for a, b in combinations(bodies, 2) if collide(bodies[a], bodies[b]) for id in (a, b))
+        return frozenset(id for pair in overlapping_pairs(bodies) for id in pair)
 
     @cached_property
     def scores(self) -> Mapping[int, float]:

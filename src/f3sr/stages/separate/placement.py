@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from f3sr.contact.compounds import Compound, collide, placed
+from f3sr.contact.compounds import Compound, collide, overlapping_pairs, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.metrics.measures import full_silhouette
@@ -178,5 +177,4 @@ class Placement:
 
     def collisions(self) -> list[tuple[int, int]]:
         """Pairs of ids that overlap, the ground included as the second."""
-        pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
-        return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
+        return overlapping_pairs(self.bodies) + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
