@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -329,6 +329,11 @@ def test_a_body_keeps_its_mass_where_its_parts_become_larger():
     assert body_of(again).mass == after.mass and np.array_equal(body_of(again).inertia, after.inertia)
 
 
+def not_in_balance(scene: Scene, moving: frozenset[int]) -> SettledScene:
+    """No equilibrium is found: all that should move overlaps as it did, and does not rest."""
+    return SettledScene(scene=scene, restless=moving)
+
+
 def coarsened(scene: Scene, restless: Sequence[Collection[int]]) -> tuple[Scene, list[str], int]:
     """The scene, its decisions and how often it was settled; physics says which objects do not rest, in turn."""
     told = list(restless)
@@ -336,7 +341,9 @@ def coarsened(scene: Scene, restless: Sequence[Collection[int]]) -> tuple[Scene,
     def settled(tried: Scene) -> SettledScene:
         return SettledScene(scene=tried, restless=frozenset(told.pop(0)))
 
-    result, outcome = coarsen(scene, CONFIG, made=scene, joins={0: FREE, 1: FREE}, settled=settled)
+    result, outcome = coarsen(
+        scene, CONFIG, made=scene, joins={0: FREE, 1: FREE}, settled=settled, balanced=not_in_balance
+    )
     return result, [f"{d.about}: {d.choice}" for d in outcome.decisions], len(restless) - len(told)
 
 
@@ -365,7 +372,13 @@ def test_what_moves_however_fine_its_parts_keeps_them(two: Scene):
 LIMITED = replace(CONFIG, max_parts=2)
 
 
-def slid(before: Scene, restless: Collection[int], slides: Sequence[float]) -> tuple[Scene, list[str], list[list[int]]]:
+def slid(
+    before: Scene,
+    restless: Collection[int],
+    slides: Sequence[float],
+    *,
+    balanced: Callable[[Scene, frozenset[int]], SettledScene] = not_in_balance,
+) -> tuple[Scene, list[str], list[list[int]]]:
     """The scene, its decisions, and the number of parts that were tried; object 1 slides a way [m] in each attempt."""
     ways, tried = list(slides), list[list[int]]()
 
@@ -375,7 +388,15 @@ def slid(before: Scene, restless: Collection[int], slides: Sequence[float]) -> t
         T = pose(t=o.T_world_object[:3, 3] + np.array([ways.pop(0), 0, 0]))
         return SettledScene(scene=scene.with_objects(replace(o, T_world_object=T)), restless=frozenset())
 
-    found, outcome = coarsen(before, LIMITED, made=before, joins={0: FREE, 1: FREE}, settled=settled, restless=restless)
+    found, outcome = coarsen(
+        before,
+        LIMITED,
+        made=before,
+        joins={0: FREE, 1: FREE},
+        settled=settled,
+        balanced=balanced,
+        restless=restless,
+    )
     assert not ways
     return found, [f"{d.about}: {d.choice}" for d in outcome.decisions], tried
 
@@ -406,6 +427,31 @@ def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_the
     scene, decisions, _ = slid(seen, (), [0.05, 0.05, 0.05, 0.0])
     assert [len(o.parts) for o in scene] == [1, 1] and not decisions
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.2)
+
+
+def test_what_slides_on_fewer_parts_rests_on_them_in_another_equilibrium(seen: Scene):
+    asked = list[frozenset[int]]()
+
+    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+        asked.append(moving)
+        o = replace(scene[1], T_world_object=pose(t=scene[1].T_world_object[:3, 3] + np.array([1e-4, 0, 0])))
+        return SettledScene(scene=scene.with_objects(o), restless=frozenset())
+
+    scene, decisions, tried = slid(seen, (), [0.05], balanced=balanced)
+    assert asked == [frozenset({1})] and tried == [[1, 1]] and not decisions
+    assert scene[1].T_world_object[0, 3] == pytest.approx(0.2001)
+
+
+def test_an_equilibrium_is_not_sought_again_where_it_was_no_better(seen: Scene):
+    asked = list[frozenset[int]]()
+
+    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+        asked.append(moving)
+        return not_in_balance(scene, moving)
+
+    scene, _, tried = slid(seen, (), [0.05] * (TRIES + 1), balanced=balanced)
+    assert len(tried) == TRIES + 1 and asked == [frozenset({1})]
+    assert scene[1].parts is seen[1].parts
 
 
 @pytest.mark.parametrize(("restless", "attempts"), [([1], 1), ([], TRIES + 1)])

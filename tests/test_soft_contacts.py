@@ -41,8 +41,12 @@ def on_a_slope(slope: float, middle: float = 0.0) -> Scene:
     return rested(scene_of(below, above)).scene
 
 
+def unmoved(scene: Scene, _moving: frozenset[int]) -> SettledScene:
+    return SettledScene(scene=scene, restless=frozenset())
+
+
 def coarsened(scene: Scene) -> tuple[Scene, Coarsened]:
-    return coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=rested)
+    return coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=rested, balanced=unmoved)
 
 
 def travel(before: Scene, after: Scene, id: int) -> float:
@@ -119,6 +123,6 @@ def test_what_creeps_by_millimetres_stays_where_it_would_rest_farther_off_the_ph
         return ends.pop() if ends else {}
 
     monkeypatch.setattr("f3sr.stages.coarsen.soft_release", released)
-    after, told = coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=settled)
+    after, told = coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=settled, balanced=unmoved)
     assert after[0].T_world_object[0, 3] == pytest.approx(0.0 if stays else rest)
     assert [d.choice for d in told.decisions] == ["stays" if stays else "moved by 9 mm"]

@@ -93,6 +93,12 @@ class ContactRetries:
             best = best.or_better(again, self._contact.apart)
         return best
 
+    def rebalanced(self, before: Scene, moving: frozenset[int]) -> SettledScene:
+        """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back."""
+        retry = Retry.of_moving(before, before, moving)
+        rested = self._best_balance(retry.scene, rougher=False)
+        return retry.ended(rested, self._contact, settled=self._at_rest)
+
     @property
     def _contact(self) -> ContactMargin:
         return self.config.refine.contact
@@ -114,27 +120,34 @@ class ContactRetries:
         parted, _ = separate(scene, self.config.separate, ground=False, margin=False)
         return self._at_rest(parted)
 
-    def _best_balance(self, scene: Scene) -> SettledScene:
+    def _best_balance(self, scene: Scene, *, rougher: bool = True) -> SettledScene:
         """Contact groups at rest near their equilibria, each at the best of up to three.
 
         Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where
-        the best so far rests."""
-        seen, costs = SettledScene(scene=scene, restless=frozenset()), self._costs(scene)
-        best = self._nearest_balance(scene, costs)
+        the best so far rests. Guessed frictions may become ``rougher``."""
+        seen = SettledScene(scene=scene, restless=frozenset())
+        nearest = partial(self._nearest_balance, scene, self._costs(scene), rougher=rougher)
+        best = nearest()
         if moved_off_masks(best, seen, self._contact):
-            best = best.or_better(self._nearest_balance(scene, costs, apart=True), self._contact.apart)
+            best = best.or_better(nearest(apart=True), self._contact.apart)
         if moved_off_masks(best, seen, self._contact):
-            best = best.or_better(self._nearest_balance(scene, costs, start=best.scene), self._contact.apart)
+            best = best.or_better(nearest(start=best.scene), self._contact.apart)
         return best
 
     def _nearest_balance(
-        self, scene: Scene, costs: Mapping[int, Array], *, apart: bool = False, start: Scene | None = None
+        self,
+        scene: Scene,
+        costs: Mapping[int, Array],
+        *,
+        rougher: bool = True,
+        apart: bool = False,
+        start: Scene | None = None,
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
 
         The second kind is not asked where all groups rest on the first and show what they show in balance."""
         footed = partial(on_own_footings, config=self.config.separate)
-        guessed = [o.id for o in scene if o.mobility != "fixed" and _is_guessed(o)]
+        guessed = [o.id for o in scene if rougher and o.mobility != "fixed" and _is_guessed(o)]
         placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed)
         rested, shown = self._at_rest(placed), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)

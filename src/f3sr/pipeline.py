@@ -116,6 +116,7 @@ def reconstruct(
         skip = {*skip, "close", "coarsen"}
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress, seen=seen)
     rests = partial(at_rest, config=config.settle)
+    retries = ContactRetries(config=config, closes="close" not in skip)
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     early = "assemble" not in run.resumed and "decompose" not in run.skip
@@ -144,7 +145,7 @@ def reconstruct(
         config.refine,
         aligned=made,
         parted=parted,
-        retries=ContactRetries(config=config, closes="close" not in skip),
+        retries=retries,
         restless=settled.restless,
     )
     scene, _ = run.stage(
@@ -155,6 +156,7 @@ def reconstruct(
         made=made,
         joins=decomposed.joins,
         settled=partial(at_rest, config=config.settle.within(ROUNDS)),
+        balanced=retries.rebalanced,
         restless=refined.restless if "refine" not in run.skip else settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)

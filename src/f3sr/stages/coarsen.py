@@ -105,22 +105,24 @@ def coarsen(
     made: Scene,
     joins: Mapping[int, Sequence[Join]],
     settled: Callable[[Scene], SettledScene],
+    balanced: Callable[[Scene, frozenset[int]], SettledScene],
     restless: Collection[int] = (),
 ) -> tuple[Scene, Coarsened]:
     """Give objects at rest few convex parts, where contact does not feel it (docs: proxies).
 
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
-    physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
-    finer parts, then all of the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what
-    is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least, unless that
-    shows another scene: then it keeps its parts, a fallback. Objects that were ``restless`` may stay so.
+    physics, ``balanced`` moves some objects, by id, to their nearest equilibrium. A group of touching objects keeps its
+    new parts if it rests as before, or does so in an equilibrium. Otherwise what moves gets finer parts, then all of
+    the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what is over them gets fewer.
+    If it moves then too, it takes the attempt in which it rests and loses least, unless that shows another scene: then
+    it keeps its parts, a fallback. Objects that were ``restless`` may stay so.
     At last groups that rest on stiff contacts only take a place where they rest on soft ones too, a Decision. Where
     that is another scene, they stay, a fallback.
     """
     known = dict[int, KnownParts]()
     footing, clearance = config.footing, config.contact.clearance
     few = partial(with_few_parts, made=made, joins=joins, footing=footing, clearance=clearance, known=known)
-    run = _Coarsening(scene, config, few, settled, frozenset(restless))
+    run = _Coarsening(scene, config, few, settled, balanced, frozenset(restless))
     while run.left and len(run.tries) < TRIES:
         run.attempt(run.left, run.left)
     if run.over:
@@ -176,11 +178,15 @@ class _Coarsening:
         config: CoarsenConfig,
         few: Callable[..., Scene],
         settled: Callable[[Scene], SettledScene],
+        balanced: Callable[[Scene, frozenset[int]], SettledScene],
         restless: frozenset[int],
     ) -> None:
         self.scene, self.tries = scene, list[_Try]()
         self.left = frozenset(o.id for o in scene if o.parts)
-        self._config, self._few, self._settled, self._restless = config, few, settled, restless
+        self._config, self._few, self._settled, self._balanced = config, few, settled, balanced
+        self._restless = restless
+        self._in_vain = frozenset[int]()
+        """Objects whose equilibrium was no better, or another scene."""
         self._moved = Counter[int]()
         self._told = list[Decision]()
 
@@ -203,11 +209,19 @@ class _Coarsening:
         return tuple(sorted((*self._told, *kept), key=lambda d: d.about or 0))
 
     def attempt(self, among: frozenset[int], fewer: frozenset[int]) -> None:
-        """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them."""
+        """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them.
+
+        One that does not rest as before goes to its nearest equilibrium, unless that was in vain with other parts."""
         new = self._few(self.scene, limits={id: self._config.limits(self._moved[id]) for id in fewer})
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
-        after = new.with_objects(*rested.scene)
-        now = _Try(scene=after, effects=self._effects(after, among, rested.restless))
+        now = self._tried(new.with_objects(*rested.scene), among, rested.restless)
+        if moving := (among & frozenset[int]().union(*now.spoilt)) - self._in_vain:
+            there = SettledScene(scene=now.scene, restless=rested.restless)
+            best = there.or_better(self._balanced(new, moving), self._config.contact.apart)
+            was, now = now, self._tried(best.scene, among, best.restless)
+            hopeless = (ids for ids, effect in now.effects.items() if effect.loss > LOSS_TO_LIMIT)
+            unmoved = (id for id in moving if now.scene[id] is was.scene[id])
+            self._in_vain |= moving & frozenset().union(unmoved, *hopeless)
         self.tries.append(now)
         for ids, effect in now.effects.items():
             if effect.is_bad:
@@ -257,6 +271,9 @@ class _Coarsening:
                 self._told.append(_on_soft_contacts(id, travel, effect, stays=stays))
             if not stays:
                 self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
+
+    def _tried(self, after: Scene, among: frozenset[int], restless: frozenset[int]) -> _Try:
+        return _Try(scene=after, effects=self._effects(after, among, restless))
 
     def _falling(self, scene: Scene) -> dict[int, SceneObject]:
         """Objects that fall or slide on soft contacts, where they end, by id."""
