@@ -257,7 +257,7 @@ def test_a_join_comes_hardly_nearer_to_another_body(lower: float, left: int):
     """A plate lies over the lower of two bars: one hull for both comes nearer by the step between them."""
     step = lower * NEARER
     bars = [cuboid((-0.05, -0.05, 0), (0, 0.05, 0.1)), cuboid((0, -0.05, 0), (0.05, 0.05, 0.1 - step))]
-    plate = box(1, size=(0.001, 0.1, 0.02), at=(0.001, 0, 0.11 + REST + 4 * NEARER - step))
+    plate = box(1, size=(0.001, 0.1, 0.02), at=(0.003, 0, 0.11 + REST + 4 * NEARER - step))
     scene = scene_of(made_of(0, bars), plate)
     assert len(fewer(scene, ()).parts) == left
     assert len(fewer(scene, (), replace(LIMITS, parts=1)).parts) == 1
