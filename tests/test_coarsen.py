@@ -442,6 +442,27 @@ def test_what_slides_on_fewer_parts_rests_on_them_in_another_equilibrium(seen: S
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.2001)
 
 
+def test_what_settled_stays_so_while_another_group_goes_to_its_equilibrium(seen: Scene):
+    """The group that stays showed a little more of its mask before it settled, and did not rest."""
+    down = np.array([0.0, 0, -2e-4])
+
+    def settled(scene: Scene) -> SettledScene:
+        moved = (
+            replace(o, T_world_object=pose(t=o.T_world_object[:3, 3] + by)) for o, by in zip(scene, ways, strict=True)
+        )
+        return SettledScene(scene=scene.with_objects(*moved), restless=frozenset({0}))
+
+    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+        assert moving == {1} and np.array_equal(scene[1].T_world_object, seen[1].T_world_object)
+        assert np.array_equal(scene[0].T_world_object[:3, 3], seen[0].T_world_object[:3, 3] + down)
+        return SettledScene(scene=scene, restless=frozenset())
+
+    ways = [down, np.array([0.05, 0, 0])]
+    joins = {0: FREE, 1: FREE}
+    found, _ = coarsen(seen, LIMITED, made=seen, joins=joins, settled=settled, balanced=balanced, restless=[0])
+    assert found[0].T_world_object[2, 3] == pytest.approx(REST - 2e-4) and found[1].T_world_object[0, 3] == 0.2
+
+
 def test_an_equilibrium_is_not_sought_again_where_it_was_no_better(seen: Scene):
     asked = list[frozenset[int]]()
 

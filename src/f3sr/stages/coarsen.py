@@ -214,13 +214,12 @@ class _Coarsening:
         One that does not rest as before goes to its nearest equilibrium, unless that was in vain with other parts."""
         new = self._few(self.scene, limits={id: self._config.limits(self._moved[id]) for id in fewer})
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
-        now = self._tried(new.with_objects(*rested.scene), among, rested.restless)
+        there = SettledScene(scene=new.with_objects(*rested.scene), restless=rested.restless)
+        now = self._tried(there, among)
         if moving := (among & frozenset[int]().union(*now.spoilt)) - self._in_vain:
-            there = SettledScene(scene=now.scene, restless=rested.restless)
-            best = there.or_better(self._balanced(new, moving), self._config.contact.apart)
-            was, now = now, self._tried(best.scene, among, best.restless)
+            now = self._tried(self._or_balanced(there, new, moving), among)
             hopeless = (ids for ids, effect in now.effects.items() if effect.loss > LOSS_TO_LIMIT)
-            unmoved = (id for id in moving if now.scene[id] is was.scene[id])
+            unmoved = (id for id in moving if now.scene[id] is there.scene[id])
             self._in_vain |= moving & frozenset().union(unmoved, *hopeless)
         self.tries.append(now)
         for ids, effect in now.effects.items():
@@ -272,8 +271,15 @@ class _Coarsening:
             if not stays:
                 self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
 
-    def _tried(self, after: Scene, among: frozenset[int], restless: frozenset[int]) -> _Try:
-        return _Try(scene=after, effects=self._effects(after, among, restless))
+    def _tried(self, after: SettledScene, among: frozenset[int]) -> _Try:
+        return _Try(scene=after.scene, effects=self._effects(after.scene, among, after.restless))
+
+    def _or_balanced(self, settled: SettledScene, new: Scene, moving: frozenset[int]) -> SettledScene:
+        """The settled scene with those groups of objects ``moving`` at their equilibrium nearest to the ``new`` scene
+        that are better there; all else stays settled."""
+        found = self._balanced(settled.scene.with_objects(*(new[id] for id in sorted(moving))), moving)
+        found = replace(found, restless=found.restless | settled.restless - moving)
+        return settled.or_better(found, self._config.contact.apart)
 
     def _falling(self, scene: Scene) -> dict[int, SceneObject]:
         """Objects that fall or slide on soft contacts, where they end, by id."""
