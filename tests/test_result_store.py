@@ -209,21 +209,33 @@ class Keys(Store):
 def test_keys_change_from_the_stage_on_whose_settings_change(
     changed: str, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
 ):
-    """``close`` and ``refine`` read settings of stages before them, which thereby are in their keys too."""
-    for name in STAGES[:12]:
-        monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
+    """``close``, ``refine`` and ``coarsen`` read settings of stages before them, so these are in their keys too."""
     field, value = {
         "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
         "separate": ("max_ray_scale", 0.05), "settle": ("settling", SettleConfig(rounds=3)), "close": ("loss", 0.1),
         "refine": ("rounds", 1), "coarsen": ("worth", 0.5),
     }[changed]  # fmt: skip
-    config, runs = Config(), list[list[str]]()
-    other = replace(config, **{changed: replace(getattr(config, changed), **{field: value})})
-    for chosen in (config, other):
+    other = replace(Config(), **{changed: replace(getattr(Config(), changed), **{field: value})})
+    assert equal_keys(other, given, monkeypatch) == [k < STAGES.index(changed) for k in range(12)]
+
+
+def test_keys_change_from_refine_on_where_what_moves_cost_changes(
+    given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
+):
+    """``refine`` and ``coarsen`` seek equilibria by the uncertainty of poses, whose stage comes after them."""
+    other = replace(Config(), uncertainty=replace(Config().uncertainty, shape=0.03))
+    assert equal_keys(other, given, monkeypatch) == [k < STAGES.index("refine") for k in range(12)]
+
+
+def equal_keys(other: Config, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Of every stage, in order, whether its key is that of the default settings; no stage does anything."""
+    for name in STAGES[:12]:
+        monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
+    runs = list[list[str]]()
+    for chosen in (Config(), other):
         runs.append((keys := Keys()).asked)
         reconstruct(given, chosen, store=keys, skip=["evaluate", "inpaint"])
-    same = [a == b for a, b in zip(*runs, strict=True)]
-    assert same == [k < STAGES.index(changed) for k in range(12)]
+    return [a == b for a, b in zip(*runs, strict=True)]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -158,7 +158,7 @@ class ContactRetries:
 
     def _costs(self, scene: Scene) -> Mapping[int, Array]:
         """What moves of each free object cost in ``balance``, by id."""
-        return precisions(scene, [o.id for o in scene if o.mobility != "fixed"], self.config.uncertainty)
+        return precisions(scene, [o.id for o in scene if o.mobility != "fixed"], self.config.refine.uncertainty)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -43,14 +43,14 @@ class Config:
 
 
 def with_shared_settings(config: Config) -> Config:
-    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and one
-    kind of footings, that of ``separate``."""
+    """The settings with one contact margin for every stage, that of the physics in which the scene settles, one kind
+    of footings, that of ``separate``, and one uncertainty of poses."""
     contact = config.settle.physics.contact
     return replace(
         config,
         relate=replace(config.relate, contact=contact),
         separate=replace(config.separate, contact=contact),
         close=replace(config.close, contact=contact, footing=config.separate.footing),
-        refine=replace(config.refine, contact=contact),
+        refine=replace(config.refine, contact=contact, uncertainty=config.uncertainty),
         coarsen=replace(config.coarsen, contact=contact, footing=config.separate.footing),
     )

@@ -22,6 +22,7 @@ from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
+from f3sr.uncertainty.config import UncertaintyConfig
 from f3sr.vision import depth_prior
 
 TOPPLE = math.radians(20)
@@ -62,6 +63,8 @@ class RefineConfig:
     """Most rounds of re-alignment; each tries only what gained in the one before."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Objects with its ``apart`` between them do not affect each other."""
+    uncertainty: UncertaintyConfig = UncertaintyConfig()
+    """Tells what moves cost in the search for an equilibrium."""
 
 
 class Retries(Protocol):
