@@ -49,7 +49,7 @@ THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
 NEARER = 2e-4
 """Distance [m] by which a joined part may come nearer to another body: six tenths of the clearance, which physics
-ends. With half of it MuJoCo plays stacks at .6 to .9 of the speed; with more of it more groups move."""
+ends. With half of it MuJoCo plays stacks at .6 to .8 of the speed; with more of it more groups move."""
 MUCH_NEARER = (1, 2, 4)
 """The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""
 FLAT = 2e-5
