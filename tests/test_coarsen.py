@@ -27,7 +27,7 @@ from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.proxies.parts import subject_of
 from f3sr.runtime import scene_serialization
 from f3sr.scene import Scene, SceneObject, Support
-from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, CoarsenConfig, coarsen
+from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, Balanced, CoarsenConfig, coarsen
 from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, scene_of
 
@@ -329,7 +329,9 @@ def test_a_body_keeps_its_mass_where_its_parts_become_larger():
     assert body_of(again).mass == after.mass and np.array_equal(body_of(again).inertia, after.inertia)
 
 
-def not_in_balance(scene: Scene, moving: frozenset[int]) -> SettledScene:
+def not_in_balance(
+    scene: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene] = lambda scene: scene
+) -> SettledScene:
     """No equilibrium is found: all that should move overlaps as it did, and does not rest."""
     return SettledScene(scene=scene, restless=moving)
 
@@ -377,7 +379,7 @@ def slid(
     restless: Collection[int],
     slides: Sequence[float],
     *,
-    balanced: Callable[[Scene, frozenset[int]], SettledScene] = not_in_balance,
+    balanced: Balanced = not_in_balance,
 ) -> tuple[Scene, list[str], list[list[int]]]:
     """The scene, its decisions, and the number of parts that were tried; object 1 slides a way [m] in each attempt."""
     ways, tried = list(slides), list[list[int]]()
@@ -432,7 +434,7 @@ def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_the
 def test_what_slides_on_fewer_parts_rests_on_them_in_another_equilibrium(seen: Scene):
     asked = list[frozenset[int]]()
 
-    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+    def balanced(scene: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         asked.append(moving)
         o = replace(scene[1], T_world_object=pose(t=scene[1].T_world_object[:3, 3] + np.array([1e-4, 0, 0])))
         return SettledScene(scene=scene.with_objects(o), restless=frozenset())
@@ -440,6 +442,22 @@ def test_what_slides_on_fewer_parts_rests_on_them_in_another_equilibrium(seen: S
     scene, decisions, tried = slid(seen, (), [0.05], balanced=balanced)
     assert asked == [frozenset({1})] and tried == [[1, 1]] and not decisions
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.2001)
+
+
+def test_footings_of_an_equilibrium_join_parts_and_count_for_the_limit(seen: Scene):
+    """A plate of 2 mm under the object, of its outline: with it one box is a box."""
+
+    def balanced(scene: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
+        o = scene[1]
+        low, high = o.mesh.bounds
+        plate = cuboid((*low[:2], low[2] - 0.002), (*high[:2], low[2]))
+        raised = o.moved(pose(t=np.array([0, 0, 0.002])), stage="refine", reason="")
+        standing = finished(scene.with_objects(replace(raised, footing=(plate,))))
+        return SettledScene(scene=standing, restless=frozenset())
+
+    scene, _, _ = slid(seen, (), [0.05], balanced=balanced)
+    assert len(scene[1].colliders) == 1 and not scene[1].footing
+    assert scene[1].colliders_world[0].vertices[:, 2].min() == pytest.approx(seen[1].bounds_world[0, 2], abs=1e-6)
 
 
 def test_what_settled_stays_so_while_another_group_goes_to_its_equilibrium(seen: Scene):
@@ -452,7 +470,7 @@ def test_what_settled_stays_so_while_another_group_goes_to_its_equilibrium(seen:
         )
         return SettledScene(scene=scene.with_objects(*moved), restless=frozenset({0}))
 
-    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+    def balanced(scene: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         assert moving == {1} and np.array_equal(scene[1].T_world_object, seen[1].T_world_object)
         assert np.array_equal(scene[0].T_world_object[:3, 3], seen[0].T_world_object[:3, 3] + down)
         return SettledScene(scene=scene, restless=frozenset())
@@ -466,9 +484,9 @@ def test_what_settled_stays_so_while_another_group_goes_to_its_equilibrium(seen:
 def test_an_equilibrium_is_not_sought_again_where_it_was_no_better(seen: Scene):
     asked = list[frozenset[int]]()
 
-    def balanced(scene: Scene, moving: frozenset[int]) -> SettledScene:
+    def balanced(scene: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         asked.append(moving)
-        return not_in_balance(scene, moving)
+        return not_in_balance(scene, moving, finished=finished)
 
     scene, _, tried = slid(seen, (), [0.05] * (TRIES + 1), balanced=balanced)
     assert len(tried) == TRIES + 1 and asked == [frozenset({1})]

@@ -93,10 +93,12 @@ class ContactRetries:
             best = best.or_better(again, self._contact.apart)
         return best
 
-    def rebalanced(self, before: Scene, moving: frozenset[int]) -> SettledScene:
-        """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back."""
+    def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
+        """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
+
+        ``finished`` gives the scene its last parts, where objects have their footings and before physics."""
         retry = Retry.of_moving(before, before, moving)
-        rested = self._best_balance(retry.scene, rougher=False)
+        rested = self._best_balance(retry.scene, rougher=False, finished=finished)
         return retry.ended(rested, self._contact, settled=self._at_rest)
 
     @property
@@ -120,13 +122,15 @@ class ContactRetries:
         parted, _ = separate(scene, self.config.separate, ground=False, margin=False)
         return self._at_rest(parted)
 
-    def _best_balance(self, scene: Scene, *, rougher: bool = True) -> SettledScene:
+    def _best_balance(
+        self, scene: Scene, *, rougher: bool = True, finished: Callable[[Scene], Scene] = lambda scene: scene
+    ) -> SettledScene:
         """Contact groups at rest near their equilibria, each at the best of up to three.
 
         Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where
         the best so far rests. Guessed frictions may become ``rougher``."""
         seen = SettledScene(scene=scene, restless=frozenset())
-        nearest = partial(self._nearest_balance, scene, self._costs(scene), rougher=rougher)
+        nearest = partial(self._nearest_balance, scene, self._costs(scene), rougher=rougher, finished=finished)
         best = nearest()
         if moved_off_masks(best, seen, self._contact):
             best = best.or_better(nearest(apart=True), self._contact.apart)
@@ -140,6 +144,7 @@ class ContactRetries:
         costs: Mapping[int, Array],
         *,
         rougher: bool = True,
+        finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
     ) -> SettledScene:
@@ -149,11 +154,11 @@ class ContactRetries:
         footed = partial(on_own_footings, config=self.config.separate)
         guessed = [o.id for o in scene if rougher and o.mobility != "fixed" and _is_guessed(o)]
         placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed)
-        rested, shown = self._at_rest(placed), SettledScene(scene=placed, restless=frozenset()).scores
+        rested, shown = self._at_rest(finished(placed)), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)
         if not rested.restless and all(mean_gain(g, shown, rested.scores) > -GAIN for g in groups):
             return rested
-        standing = on_footings_in_place(placed, self.config.separate)
+        standing = finished(on_footings_in_place(placed, self.config.separate))
         return rested.or_better(self._at_rest(standing), self._contact.apart)
 
     def _costs(self, scene: Scene) -> Mapping[int, Array]:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from annotated_types import Interval
@@ -48,6 +48,14 @@ SOFT_TRAVEL = 8e-3
 """Travel on soft contacts [m] from which on an object falls or slides: what stays creeps by up to 6 mm in 20 scenes."""
 SOFT_ROUNDS = 3
 """Most releases on soft contacts; one has sufficed."""
+
+
+class Balanced(Protocol):
+    """Moves objects, by id, to their nearest equilibrium; ``finished`` gives a scene there its last parts."""
+
+    def __call__(
+        self, scene: Scene, moving: frozenset[int], /, *, finished: Callable[[Scene], Scene]
+    ) -> SettledScene: ...
 
 
 @settings
@@ -105,13 +113,13 @@ def coarsen(
     made: Scene,
     joins: Mapping[int, Sequence[Join]],
     settled: Callable[[Scene], SettledScene],
-    balanced: Callable[[Scene, frozenset[int]], SettledScene],
+    balanced: Balanced,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Coarsened]:
     """Give objects at rest few convex parts, where contact does not feel it (docs: proxies).
 
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
-    physics, ``balanced`` moves some objects, by id, to their nearest equilibrium. A group of touching objects keeps its
+    physics, ``balanced`` moves some objects to their nearest equilibrium. A group of touching objects keeps its
     new parts if it rests as before, or does so in an equilibrium. Otherwise what moves gets finer parts, then all of
     the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what is over them gets fewer.
     If it moves then too, it takes the attempt in which it rests and loses least, unless that shows another scene: then
@@ -178,7 +186,7 @@ class _Coarsening:
         config: CoarsenConfig,
         few: Callable[..., Scene],
         settled: Callable[[Scene], SettledScene],
-        balanced: Callable[[Scene, frozenset[int]], SettledScene],
+        balanced: Balanced,
         restless: frozenset[int],
     ) -> None:
         self.scene, self.tries = scene, list[_Try]()
@@ -212,12 +220,13 @@ class _Coarsening:
         """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them.
 
         One that does not rest as before goes to its nearest equilibrium, unless that was in vain with other parts."""
-        new = self._few(self.scene, limits={id: self._config.limits(self._moved[id]) for id in fewer})
+        limits = {id: self._config.limits(self._moved[id]) for id in fewer}
+        new = self._few(self.scene, limits=limits)
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
         there = SettledScene(scene=new.with_objects(*rested.scene), restless=rested.restless)
         now = self._tried(there, among)
         if moving := (among & frozenset[int]().union(*now.spoilt)) - self._in_vain:
-            now = self._tried(self._or_balanced(there, new, moving), among)
+            now = self._tried(self._or_balanced(there, new, moving, limits), among)
             hopeless = (ids for ids, effect in now.effects.items() if effect.loss > LOSS_TO_LIMIT)
             unmoved = (id for id in moving if now.scene[id] is there.scene[id])
             self._in_vain |= moving & frozenset().union(unmoved, *hopeless)
@@ -274,12 +283,21 @@ class _Coarsening:
     def _tried(self, after: SettledScene, among: frozenset[int]) -> _Try:
         return _Try(scene=after.scene, effects=self._effects(after.scene, among, after.restless))
 
-    def _or_balanced(self, settled: SettledScene, new: Scene, moving: frozenset[int]) -> SettledScene:
+    def _or_balanced(
+        self, settled: SettledScene, new: Scene, moving: frozenset[int], limits: Mapping[int, PartLimits]
+    ) -> SettledScene:
         """The settled scene with those groups of objects ``moving`` at their equilibrium nearest to the ``new`` scene
-        that are better there; all else stays settled."""
-        found = self._balanced(settled.scene.with_objects(*(new[id] for id in sorted(moving))), moving)
+        that are better there; all else stays settled. Footings are other ones there: they join parts within limits."""
+        footed = {id: limits[id] for id in moving & limits.keys()}
+        start = settled.scene.with_objects(*(new[id] for id in sorted(moving)))
+        found = self._balanced(start, moving, finished=partial(self._refooted, limits=footed))
         found = replace(found, restless=found.restless | settled.restless - moving)
         return settled.or_better(found, self._config.contact.apart)
+
+    def _refooted(self, scene: Scene, limits: Mapping[int, PartLimits]) -> Scene:
+        """A scene in which objects with other footings have few parts again."""
+        limits = {id: limit for id, limit in limits.items() if scene[id].footing}
+        return self._few(scene, made=scene, joins={}, limits=limits) if limits else scene
 
     def _falling(self, scene: Scene) -> dict[int, SceneObject]:
         """Objects that fall or slide on soft contacts, where they end, by id."""
