@@ -27,7 +27,7 @@ from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.proxies.parts import subject_of
 from f3sr.runtime import scene_serialization
 from f3sr.scene import Scene, SceneObject, Support
-from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, Balanced, CoarsenConfig, coarsen
+from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, CoarsenConfig, Rebalanced, coarsen
 from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, scene_of
 
@@ -379,7 +379,7 @@ def slid(
     restless: Collection[int],
     slides: Sequence[float],
     *,
-    balanced: Balanced = not_in_balance,
+    balanced: Rebalanced = not_in_balance,
 ) -> tuple[Scene, list[str], list[list[int]]]:
     """The scene, its decisions, and the number of parts that were tried; object 1 slides a way [m] in each attempt."""
     ways, tried = list(slides), list[list[int]]()

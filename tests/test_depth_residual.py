@@ -12,7 +12,7 @@ from f3sr.core.transforms import Array, rotation_about, transform
 from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, Scene
 from f3sr.vision import rasterizer
-from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.depth_residual import BEFORE, DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
 from scenes import box, scene_of
 
@@ -36,6 +36,23 @@ def test_the_median_is_the_logarithm_of_the_factor(k: float) -> None:
     found = evidence(scene).residual(pushed)
     assert found.median == pytest.approx(np.log(k), abs=1e-5) and found.size == pytest.approx(abs(np.log(k)), abs=1e-5)
     assert found.spread < 1e-5 and found.pixels > 100
+
+
+@pytest.mark.parametrize(("nearer", "share"), [(0.5 * BEFORE, 0.0), (2 * BEFORE, 1.0)])
+def test_what_stands_before_all_that_may_hide_it_is_told_by_its_share(nearer: float, share: float) -> None:
+    """A box, of which the photo shows the left half, stands before a plane that is seen where its right half is."""
+    o = box(1, size=(0.3, 0.3, 0.3), at=(0, 0, 0.3))
+    scene = scene_of(o)
+    depth = rasterizer.render([o], scene.camera).depth
+    covered = np.isfinite(depth)
+    left = covered & (np.arange(covered.shape[1]) < scene.camera.width / 2)
+    points = np.zeros((*depth.shape, 3), np.float32)
+    points[..., 2] = np.where(left, depth, np.where(covered, depth + nearer * o.size, 0))
+    geometry = Geometry(points=points, valid=covered)
+    of_both = DepthEvidence.of(geometry, scene.camera, scene.camera, left, covered & ~left).residual(o)
+    right = np.count_nonzero(covered & ~left) / np.count_nonzero(covered)
+    assert of_both.before == pytest.approx(share * right) and of_both.size < 1e-6
+    assert DepthEvidence.of(geometry, scene.camera, scene.camera, left).residual(o).before == 0
 
 
 def test_nothing_in_common_is_no_evidence() -> None:

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import pose
 from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
-from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
+from f3sr.vision.occlusion import behind_the_photo, comparable_region, nearer_objects, occluders, visible_region
 from folders import camera
-from scenes import box, scene_of
+from scenes import box, box_mesh, scene_of
 
 
 def test_regions_of_nearer_objects_are_left_out():
@@ -27,6 +29,41 @@ def test_order_is_that_of_the_photo_s_geometry_whatever_distance_a_pose_came_wit
     came = scene[1].moved(scene.camera.homothety(share), scale=share, stage="test", reason="")
     nearer = nearer_objects(scene.with_objects(came))
     assert [p.id for p in nearer[1]] == [0] and not nearer[0]
+
+
+@pytest.mark.parametrize("depth", [-0.002, 0.002, 0.004])
+def test_the_photo_orders_what_nearly_meets_in_depth(depth: float):
+    """A plate on another one, of which a wrong pose has sunk the upper by a ``depth`` [m] below the lower one's top."""
+    lower = box(0, size=(0.2, 0.2, 0.01), at=(0, 0, 0.005))
+    upper = box(1, size=(0.12, 0.12, 0.01), at=(0, 0, 0.015))
+    sunk = upper.moved(pose(t=np.array([0, 0, -0.01 - depth])), stage="test", reason="")
+    scene = photographed(lower, upper)
+    wrong = replace(scene.with_objects(replace(sunk, mask=scene[1].mask)), geometry=None)
+    nearer = nearer_objects(wrong)
+    assert [p.id for p in nearer[0]] == [1] and not nearer[1]
+
+
+def test_what_is_sunk_deep_is_behind():
+    lower = box(0, size=(0.2, 0.2, 0.01), at=(0, 0, 0.105))
+    scene = photographed(lower, box(1, size=(0.12, 0.12, 0.01), at=(0, 0, 0.115)))
+    sunk = scene[1].moved(pose(t=np.array([0, 0, -0.04])), stage="test", reason="")
+    nearer = nearer_objects(replace(scene.with_objects(sunk), geometry=None))
+    assert not nearer[0] and [p.id for p in nearer[1]] == [0]
+
+
+def test_the_near_wall_of_a_box_may_hide_what_is_in_it_and_its_far_wall_may_not():
+    wall = box_mesh((0.3, 0.005, 0.1))
+    low, high = (replace(wall, vertices=wall.vertices + np.array([0, y, 0.05])) for y in (-0.1, 0.1))
+    faces = np.concatenate([low.faces, high.faces + len(low.vertices)])
+    both = Mesh(vertices=np.concatenate([low.vertices, high.vertices]), faces=faces)
+    scene = photographed(replace(box(0, at=(0, 0, 0)), mesh=both), box(1, size=(0.06, 0.06, 0.16), at=(0, 0, 0.08)))
+    found = occluders(scene)
+    assert not found[1].nearer and [p.id for p, _ in found[1].in_part] == [0] and [p.id for p in found[0].nearer] == [1]
+    hidden = found[1].pixels(*scene[1].mask.shape)
+    near = full_silhouette(replace(scene[0], mesh=low), scene.camera) & scene[0].mask
+    far = scene[0].mask & ~near
+    assert near.any() and far.any() and (hidden & near).sum() > 0.9 * near.sum() and not (hidden & far).any()
+    assert not (comparable_region(scene[1], found[1], scene) & hidden).any()
 
 
 @pytest.mark.parametrize("rows", [10, 4, 1])

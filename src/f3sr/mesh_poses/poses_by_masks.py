@@ -15,7 +15,7 @@ from f3sr.mesh_poses.pose_by_mask import STAGE, FoundPose, MaskedPhoto, PoseSear
 from f3sr.mesh_poses.reading_votes import DEFAULT_VOTES, VoteConfig, surfaces_apart
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.vision.image_supports import below
-from f3sr.vision.occlusion import comparable_region, nearer_objects
+from f3sr.vision.occlusion import comparable_region, occluders
 
 AXES: Mapping[Axis, tuple[int, int, int]] = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1),
@@ -58,10 +58,10 @@ def poses_by_masks(
         geometry=view.geometry,
         objects=tuple(p.object for p in placed.values()),
     )
-    nearer = nearer_objects(scene)
+    hiding = occluders(scene)
     for id, instance in view.instances.items():
-        if nearer[id] and placed[id].best.iou < ENOUGH:
-            valid = comparable_region(scene[id], nearer[id], scene)
+        if (hiding[id].nearer or hiding[id].in_part) and placed[id].best.iou < ENOUGH:
+            valid = comparable_region(scene[id], hiding[id], scene)
             again = PoseSearch(mesh=meshes[id].mesh, instance=instance, view=view, valid=valid, config=search)
             placed[id] = _placed(again, meshes[id])
     return placed if view.geometry is not None else _on_supports(view, placed)

@@ -50,7 +50,7 @@ SOFT_ROUNDS = 3
 """Most releases on soft contacts; one has sufficed."""
 
 
-class Balanced(Protocol):
+class Rebalanced(Protocol):
     """Moves objects, by id, to their nearest equilibrium; ``finished`` gives a scene there its last parts."""
 
     def __call__(
@@ -113,7 +113,7 @@ def coarsen(
     made: Scene,
     joins: Mapping[int, Sequence[Join]],
     settled: Callable[[Scene], SettledScene],
-    balanced: Balanced,
+    balanced: Rebalanced,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Coarsened]:
     """Give objects at rest few convex parts, where contact does not feel it (docs: proxies).
@@ -186,7 +186,7 @@ class _Coarsening:
         config: CoarsenConfig,
         few: Callable[..., Scene],
         settled: Callable[[Scene], SettledScene],
-        balanced: Balanced,
+        balanced: Rebalanced,
         restless: frozenset[int],
     ) -> None:
         self.scene, self.tries = scene, list[_Try]()

@@ -23,7 +23,7 @@ from f3sr.vision import depth_prior
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.decimated import outlined
 from f3sr.vision.motion_params import intrinsics_velocities, similarity_velocities
-from f3sr.vision.occlusion import comparable_region, nearer_objects
+from f3sr.vision.occlusion import comparable_region, occluders
 from f3sr.vision.photometric import Appearance
 from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, loss
 
@@ -48,10 +48,10 @@ class Information:
         camera = slice(PARAMETERS * len(ids), PARAMETERS * len(ids) + CAMERA)
         land = slice(camera.stop, camera.stop + LAND)
         whole = np.zeros((land.stop, land.stop))
-        nearer, sigmas = nearer_objects(scene), depth_prior.sigmas(scene)
+        hiding, sigmas = occluders(scene), depth_prior.sigmas(scene)
         for o in scene:
             both = np.r_[places[o.id], camera]
-            whole[np.ix_(both, both)] += of_picture(o, scene, comparable_region(o, nearer[o.id], scene), config)
+            whole[np.ix_(both, both)] += of_picture(o, scene, comparable_region(o, hiding[o.id], scene), config)
             whole[places[o.id], places[o.id]] += of_depth(o, scene.camera, sigmas[o.id]) + np.diag(_prior(o, config))
         _add_contacts(whole, scene, places, land, config)
         whole[camera, camera] += np.diag(_intrinsics_prior(scene, config))
@@ -77,11 +77,11 @@ def precisions(scene: Scene, ids: Collection[int], config: UncertaintyConfig) ->
 
     Every object counts as one that fits its mask. So a move costs what it takes from the picture, also of an object
     that fits badly."""
-    nearer, sigmas = nearer_objects(scene), depth_prior.sigmas(scene)
+    hiding, sigmas = occluders(scene), depth_prior.sigmas(scene)
     found = dict[int, Array]()
     for id in ids:
         o = scene[id]
-        seen = of_picture(o, scene, comparable_region(o, nearer[id], scene), config, fits=True)
+        seen = of_picture(o, scene, comparable_region(o, hiding[id], scene), config, fits=True)
         found[id] = _block(seen, 0) + of_depth(o, scene.camera, sigmas[id]) + np.diag(_prior(o, config))
     return found
 

@@ -19,34 +19,47 @@ SMALLEST = 1e-3
 """Deviation of depth [share of the distance] below which the curvature of its absolute value does not grow."""
 GRAZING = 0.1
 """Least cosine between a viewing ray and a surface's normal that is reckoned with: at 0 its depth is undefined."""
+BEFORE = 0.05
+"""Distance [size] by which an object lies before what the photo shows, from which on the photo would show the object:
+what is nested comes within some millimetres, and poses are off by a little more."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthResidual:
     """log(rendered depth / depth of the geometry) over the pixels that show an object: ``median``, ``spread``, the
-    median distance from it, and ``size``, the median distance from 0; ``pixels`` is how many were compared."""
+    median distance from it, and ``size``, the median distance from 0; ``pixels`` is how many were compared.
+
+    ``before`` is the share of the object's pixels where it would hide what the photo shows before it."""
 
     median: float
     spread: float
     size: float
     pixels: int
+    before: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthEvidence:
-    """``depth`` (h, w) [m] along the axis of ``camera``, nan where the geometry knows nothing of the object."""
+    """``depth`` (h, w) [m] along the axis of ``camera``, nan where the geometry knows nothing of the object; and
+    ``hiding`` (h, w), that of what may hide it, nan elsewhere."""
 
     depth: NDArray[np.float32]
+    hiding: NDArray[np.float32]
     camera: Camera
 
     @classmethod
-    def of(cls, geometry: Geometry, camera: Camera, window: Camera, shown: Mask) -> DepthEvidence:
-        """``shown`` (h, w): the window's pixels that show the object. ``camera`` is the one of the whole photo."""
+    def of(
+        cls, geometry: Geometry, camera: Camera, window: Camera, shown: Mask, hidden: Mask | None = None
+    ) -> DepthEvidence:
+        """``shown`` (h, w): the window's pixels that show the object; ``hidden`` (h, w), by default none: those that
+        may hide it. ``camera`` is the one of the whole photo."""
         z = np.where(geometry.valid, geometry.points[..., 2], np.float32(np.nan))
         depth = sampled(z, camera, window, fill=np.nan)
         # Not ``depth <= NEAR``: the negated comparison also catches NaN.
-        depth[~shown | ~(depth > rasterizer.NEAR)] = np.nan
-        return cls(depth=depth, camera=window)
+        depth[~(depth > rasterizer.NEAR)] = np.nan
+        masks = (shown, np.zeros_like(shown) if hidden is None else hidden & ~shown)
+        own, hiding = (np.where(mask, depth, np.float32(np.nan)) for mask in masks)
+        return cls(depth=own, hiding=hiding, camera=window)
 
     def residual(self, o: SceneObject) -> DepthResidual:
         """The residual of an object where it is; spread and size are inf where no pixel can be compared."""
@@ -62,7 +75,13 @@ class DepthEvidence:
             spread=float(np.median(np.abs(ratio - median))),
             size=float(np.median(np.abs(ratio))),
             pixels=len(ratio),
+            before=self._before(rendered * np.exp(-median), BEFORE * o.size),
         )
+
+    def _before(self, rendered: Array, least: float) -> float:
+        """The share of a depth image (h, w), inf where it is empty, that is before what hides it by ``least`` [m]."""
+        covered = np.isfinite(rendered)
+        return float(np.count_nonzero(rendered[covered] < self.hiding[covered] - least) / np.count_nonzero(covered))
 
     def mismatch(self, o: SceneObject, velocities: Array, *, most: float) -> Local:
         """Mean of |log(rendered / measured depth) - its median|, each at most ``most``, with derivatives by parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -18,9 +18,13 @@ from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
-from f3sr.vision.occlusion import comparable_region, nearer_objects
-from f3sr.vision.silhouette import iou
+from f3sr.vision.occlusion import comparable_region, occluders
+from f3sr.vision.silhouette import Mask, iou
 
+PASSES = 3
+"""Most alignments of an object: the first one tells better which objects hide which."""
+CHANGED = 0.1
+"""Pixels of which that is told anew, as a share of an object's mask, from which on it is aligned again."""
 MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""
 
@@ -48,7 +52,8 @@ def align(
 ) -> tuple[Scene, Aligned]:
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
-    Every step has a guard of its own. An object is compared only where nearer objects leave it visible.
+    Every step has a guard of its own. An object is compared only where nearer objects leave it visible. Aligned
+    objects tell better which of them are nearer: what that changes for is aligned again.
     ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
@@ -58,20 +63,39 @@ def align(
     if config.camera and not all(o.lifted for o in scene):
         scene, decisions = align_camera(scene, config, score=lambda s: _mean(_ious(s, config)))
     if config.objects:
-        nearer = nearer_objects(scene)
-
-        def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            valid = comparable_region(o, nearer[o.id], scene)
-            view = ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh)
-            return align_object(o, view, config)
-
-        with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
-            results = list(pool.map(aligned, (o for o in scene if only is None or o.id in only)))
-        scene = scene.with_objects(*(o for o, _ in results))
-        decisions += [d for _, several in results for d in several]
+        ids, compared = [o.id for o in scene if only is None or o.id in only], dict[int, Mask]()
+        for _ in range(PASSES):
+            was = scene
+            scene, told = _objects_aligned(scene, ids, compared, full, config)
+            decisions += told
+            if scene is was:
+                break
     after = _ious(scene, config)
     scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
     return scene, Aligned(before=before, after=after, decisions=tuple(decisions))
+
+
+def _objects_aligned(
+    scene: Scene, ids: Sequence[int], compared: dict[int, Mask], full: Scene, config: AlignConfig
+) -> tuple[Scene, list[Decision]]:
+    """Some objects aligned, and what was decided of each; the same scene where each was ``compared`` before.
+
+    That is where (h, w) each was compared with its mask at last, by id, which is told anew."""
+    hiding, small = occluders(scene), scene.camera.limited(config.resolution)
+
+    def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
+        valid = comparable_region(o, hiding[o.id], scene)
+        before, now = compared.get(o.id), resample(valid, small.width, small.height)
+        compared[o.id] = now
+        if before is not None and np.count_nonzero(now ^ before) < CHANGED * now.size * o.mask.mean():
+            return o, []
+        return align_object(o, ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh), config)
+
+    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
+        results = list(pool.map(aligned, (scene[id] for id in ids)))
+    if not any(told for _, told in results):
+        return scene, []
+    return scene.with_objects(*(o for o, _ in results)), [d for _, several in results for d in several]
 
 
 def _mean(ious: Mapping[int, float]) -> float:

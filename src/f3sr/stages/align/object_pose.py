@@ -153,8 +153,9 @@ def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evi
     geometry = scene.geometry if scene.geometry and scene.geometry.source != "ground" else None
     window = window_around(o, camera, config.appearance.resolution)
     shown = sampled(o.mask & view.valid, camera, window, fill=False)
+    hidden = ~sampled(view.valid, camera, window, fill=True)
     return _Evidence(
-        depth=DepthEvidence.of(geometry, camera, window, shown) if geometry else None,
+        depth=DepthEvidence.of(geometry, camera, window, shown, hidden) if geometry else None,
         appearance=(
             Appearance.of(scene.photo, camera, window, shown)
             if config.appearance.enabled and view.textured.has_detail
@@ -288,13 +289,15 @@ def _at_its_depth(
 
 @dataclass(frozen=True, kw_only=True)
 class _Scores:
-    """IoU with the valid mask, correlation with the photo, spread of depth about the geometry's; 0 where unknown."""
+    """IoU with the valid mask, correlation with the photo, spread of depth about the geometry's, share ``before`` what
+    the photo shows; 0 where unknown."""
 
     iou: float
     correlation: float
     has_detail: bool
     """The mesh has detail to correlate."""
     spread: float
+    before: float
     noise: float
     """Standard deviation of the geometry's depths [share of the distance]."""
     config: AlignConfig
@@ -306,13 +309,13 @@ class _Scores:
     @property
     def shape(self) -> float:
         """How far mask and depth are from those of a perfect mesh."""
-        return self.config.orientations.missed(self.iou, self.spread)
+        return self.config.orientations.missed(self.iou - self.before, self.spread)
 
     @property
     def miss(self) -> float:
         """How far all three are from a perfect mesh's."""
         correlation = self.correlation if self.has_detail else None
-        return self.config.orientations.missed(self.iou, self.spread, correlation)
+        return self.config.orientations.missed(self.iou - self.before, self.spread, correlation)
 
     def agrees(self, before: _Scores) -> bool:
         """Whether depths spread about the geometry's no more than ``before``, or no more than its noise may."""
@@ -327,11 +330,13 @@ class _Scores:
 
 def _scores(placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig) -> _Scores:
     o = placed.object
+    depths = evidence.depth.residual(o) if evidence.depth else None
     return _Scores(
         iou=placed.iou,
         correlation=evidence.appearance.correlation(_textured(o, view)) if evidence.appearance else 0.0,
         has_detail=evidence.appearance is not None,
-        spread=evidence.depth.residual(o).spread if evidence.depth else 0.0,
+        spread=depths.spread if depths else 0.0,
+        before=depths.before if depths else 0.0,
         noise=sigma(view.scene.geometry),
         config=config,
     )

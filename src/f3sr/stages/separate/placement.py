@@ -17,7 +17,7 @@ from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.stages.separate.config import MATCHED, PICTURE_SIGMA
 from f3sr.vision import depth_prior
 from f3sr.vision.iou_sensitivity import loss_matrix
-from f3sr.vision.occlusion import comparable_region, nearer_objects
+from f3sr.vision.occlusion import Occluders, comparable_region, occluders
 from f3sr.vision.silhouette import iou
 
 Saved = tuple[dict[int, Any], ...]
@@ -147,13 +147,13 @@ class Placement:
     def _weight(self, o: SceneObject) -> float:
         """Weight of the picture: 1 where a silhouette matches its mask, else the square of how much less it misses then
         (the variance of a least-squares estimate grows with its residual)."""
-        region = comparable_region(o, self._nearer[o.id], self.scene)
+        region = comparable_region(o, self._hiding[o.id], self.scene)
         missed = 1 - iou(full_silhouette(o, self.scene.camera), o.mask, region)
         return (MATCHED / max(MATCHED, missed)) ** 2
 
     @cached_property
-    def _nearer(self) -> Mapping[int, list[SceneObject]]:
-        return nearer_objects(self.scene)
+    def _hiding(self) -> Mapping[int, Occluders]:
+        return occluders(self.scene)
 
     def depth_loss(self, id: int) -> Array:
         """Metric (3, 3) of the geometry in the unit of ``picture``: rank 1, along the viewing ray."""
