@@ -86,13 +86,12 @@ class ContactRetries:
         retry = Retry.of_moving(before, start, moving)
         rested = self._best_balance(retry.scene)
         best = self._ended(retry, rested, won_back=WON_BACK_BALANCED)
-        if moved_off_masks(best, rested, self._contact):
+        if off := moved_off_masks(best, rested, self._contact) & moving:
             down = lowered(rested.scene, self.config.close)
-            cut = (replace(o, parts=down[o.id].parts) for o in retry.scene if o.id in moving)
-            retry = replace(retry, scene=retry.scene.with_objects(*cut))
-            rested = self._best_balance(retry.scene)
-            again = self._ended(retry, rested, won_back=WON_BACK_BALANCED)
-            best = best.or_better(again, self._contact.apart)
+            cut = (replace(o, parts=down[o.id].parts) for o in retry.scene if o.id in off)
+            retry = Retry.of_moving(best.scene, retry.scene.with_objects(*cut), off)
+            again = self._ended(retry, self._best_balance(retry.scene), won_back=WON_BACK_BALANCED)
+            best = self._or_again(best, again, off)
         return best
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
@@ -129,16 +128,26 @@ class ContactRetries:
     ) -> SettledScene:
         """Contact groups at rest near their equilibria, each at the best of up to three.
 
-        Another one is sought while some group loses much of what it showed: from where nothing overlaps, and from where
-        the best so far rests. Guessed frictions may become ``rougher``."""
-        seen = SettledScene(scene=scene, restless=frozenset())
-        nearest = partial(self._nearest_balance, scene, self._costs(scene), rougher=rougher, finished=finished)
-        best = nearest()
-        if moved_off_masks(best, seen, self._contact):
-            best = best.or_better(nearest(apart=True), self._contact.apart)
-        if moved_off_masks(best, seen, self._contact):
-            best = best.or_better(nearest(start=best.scene), self._contact.apart)
+        Groups that lose much of what they showed seek another one: from where nothing overlaps, then from where the
+        best so far rests. Guessed frictions may become ``rougher``."""
+        seen, costs = SettledScene(scene=scene, restless=frozenset()), self._costs(scene)
+        nearest = partial(self._nearest_balance, rougher=rougher, finished=finished)
+        best = nearest(scene, costs)
+        for apart in (True, False):
+            lost = moved_off_masks(best, seen, self._contact) & costs.keys()
+            if not lost:
+                break
+            retry = Retry.of_moving(best.scene, scene, lost)
+            left = {id: costs[id] for id in lost}
+            found = nearest(retry.scene, left, apart=True) if apart else nearest(retry.scene, left, start=best.scene)
+            best = self._or_again(best, retry.ended(found, self._contact, settled=self._at_rest), lost)
         return best
+
+    def _or_again(self, best: SettledScene, again: SettledScene, moving: frozenset[int]) -> SettledScene:
+        """The best so far, with groups that moved since where they are better; what was held is as restless as
+        before."""
+        again = replace(again, restless=again.restless | best.restless - moving)
+        return best.or_better(again, self._contact.apart)
 
     def _nearest_balance(
         self,

@@ -193,8 +193,8 @@ class _Coarsening:
         self.left = frozenset(o.id for o in scene if o.parts)
         self._config, self._few, self._settled, self._balanced = config, few, settled, balanced
         self._restless = restless
-        self._in_vain = frozenset[int]()
-        """Objects whose equilibrium was no better, or another scene."""
+        self._balanced_once = frozenset[int]()
+        """Objects whose equilibrium was sought already. In none of 12 groups another one, on finer parts, was enough."""
         self._moved = Counter[int]()
         self._told = list[Decision]()
 
@@ -219,17 +219,15 @@ class _Coarsening:
     def attempt(self, among: frozenset[int], fewer: frozenset[int]) -> None:
         """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them.
 
-        One that does not rest as before goes to its nearest equilibrium, unless that was in vain with other parts."""
+        One that does not rest as before goes to its nearest equilibrium, unless it did so with other parts."""
         limits = {id: self._config.limits(self._moved[id]) for id in fewer}
         new = self._few(self.scene, limits=limits)
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
         there = SettledScene(scene=new.with_objects(*rested.scene), restless=rested.restless)
         now = self._tried(there, among)
-        if moving := (among & frozenset[int]().union(*now.spoilt)) - self._in_vain:
+        if moving := (among & frozenset[int]().union(*now.spoilt)) - self._balanced_once:
             now = self._tried(self._or_balanced(there, new, moving, limits), among)
-            hopeless = (ids for ids, effect in now.effects.items() if effect.loss > LOSS_TO_LIMIT)
-            unmoved = (id for id in moving if now.scene[id] is there.scene[id])
-            self._in_vain |= moving & frozenset().union(unmoved, *hopeless)
+            self._balanced_once |= moving
         self.tries.append(now)
         for ids, effect in now.effects.items():
             if effect.is_bad:
