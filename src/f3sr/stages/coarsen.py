@@ -194,7 +194,7 @@ class _Coarsening:
         self._config, self._few, self._settled, self._balanced = config, few, settled, balanced
         self._restless = restless
         self._balanced_once = frozenset[int]()
-        """Objects whose equilibrium was sought already. In none of 12 groups another one, on finer parts, was enough."""
+        """Objects whose equilibrium was sought. Finer parts had no better one in nested bowls, for a minute each."""
         self._moved = Counter[int]()
         self._told = list[Decision]()
 
