@@ -245,7 +245,7 @@ def _is_nearer(a: _DepthView, b: _DepthView) -> bool:
         between = float(np.median(b.depth[both] - a.depth[both]))
         shown, hidden = (np.count_nonzero(both & mask) for mask in (a.mask, b.mask))
         if abs(between) < UNSURE * min(a.object.size, b.object.size) and shown + hidden > ENOUGH:
-            return shown > LEAST_SHOWN * (shown + hidden)
+            return bool(shown > LEAST_SHOWN * (shown + hidden))
         return bool(np.median(a.depth[both] / b.depth[both]) < 1 - ROUNDING)
     if not np.isfinite(a.depth).any() or not np.isfinite(b.depth).any():
         return True
