@@ -367,3 +367,24 @@ def test_the_appearance_s_gradient_is_that_of_central_differences() -> None:
     assert found.value == pytest.approx(1 - appearance.correlation(at(u)))
     assert appearance.correlation(o) > 0.98
     assert np.linalg.eigvalsh(found.curvature).min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("shares", "alignments"), [((0.0, 0.0), 1), ((0.002, 0.004), 1), ((0.3, 0.3), 2), ((0.3, 0.0), 3)]
+)
+def test_what_is_compared_elsewhere_once_objects_are_aligned_is_aligned_again(
+    shares: tuple[float, float], alignments: int, monkeypatch: pytest.MonkeyPatch
+):
+    """One object; after each alignment a share of its mask is found to be hidden."""
+    scene = photographed(thing(0, BOX, (0, 0, 0.06)))
+    rows, left = np.nonzero(scene[0].mask)[0], [0.0, *shares]
+
+    def compared(o: SceneObject, *_: object) -> Array:
+        valid = np.ones_like(o.mask)
+        valid[: np.quantile(rows, left.pop(0)).astype(int)] = False
+        return valid
+
+    monkeypatch.setattr("f3sr.stages.align.comparable_region", compared)
+    _, outcome = align(scene, PLAIN)
+    fits = [d.choice for d in outcome.decisions if "object: " in d.choice]
+    assert [c.startswith("again, ") for c in fits] == [False, True, True][:alignments]

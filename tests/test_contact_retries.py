@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from f3sr import contact_retries
-from f3sr.contact_retries import ContactRetries
+from f3sr.contact_retries import ContactRetries, Retry
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.pipeline_config import Config, with_shared_settings
@@ -74,6 +74,23 @@ def test_what_lost_in_balance_is_put_back_and_not_closed(
     monkeypatch.setattr(contact_retries, "close", never)
     after = retries.balanced(resting, start=resting, moving=frozenset({0}))
     assert np.array_equal(after.scene[0].T_world_object, resting[0].T_world_object)
+
+
+def test_what_is_held_is_as_restless_as_before_and_what_settles_with_it_as_physics_says():
+    """Objects 0 and 1 stand far apart; object 2 comes to touch 1 and rests with it."""
+    before = scene_of(*(box(k, at=(x, 0, 0.05)) for k, x in enumerate((-0.5, 0.0, 0.3))))
+    contact = Config().refine.contact
+    beside = before.with_objects(replace(before[2], T_world_object=pose(t=np.array([0.1 + 1e-4, 0, 0.05]))))
+    asked = list[list[int]]()
+
+    def settled(scene: Scene) -> SettledScene:
+        asked.append([o.id for o in scene])
+        return SettledScene(scene=scene, restless=frozenset())
+
+    retry = Retry.of_moving(before, beside, frozenset({2}), restless=frozenset({0, 1, 2}))
+    ended = retry.ended(SettledScene(scene=retry.scene, restless=frozenset()), contact, settled=settled)
+    assert asked == [[1, 2]] and ended.restless == {0}
+    assert all(o.mobility == before[o.id].mobility for o in ended.scene)
 
 
 def test_footings_in_place_are_not_asked_where_physics_leaves_what_is_balanced(

@@ -66,6 +66,15 @@ def test_the_near_wall_of_a_box_may_hide_what_is_in_it_and_its_far_wall_may_not(
     assert not (comparable_region(scene[1], found[1], scene) & hidden).any()
 
 
+@pytest.mark.parametrize("depth", [0.005, 0.015])
+def test_a_support_into_which_a_wrong_pose_is_sunk_hides_nothing(depth: float):
+    scene = photographed(
+        box(0, size=(0.2, 0.2, 0.04), at=(0, 0, 0.02)), box(1, size=(0.08, 0.08, 0.1), at=(0, 0, 0.09))
+    )
+    sunk = scene[1].moved(pose(t=np.array([0, 0, -depth])), stage="test", reason="")
+    assert not occluders(scene.with_objects(sunk))[1].in_part
+
+
 @pytest.mark.parametrize("rows", [10, 4, 1])
 def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not(rows: int):
     fruit, bowl = box(0), box(1)

@@ -89,9 +89,9 @@ class ContactRetries:
         if off := moved_off_masks(best, rested, self._contact) & moving:
             down = lowered(rested.scene, self.config.close)
             cut = (replace(o, parts=down[o.id].parts) for o in retry.scene if o.id in off)
-            retry = Retry.of_moving(best.scene, retry.scene.with_objects(*cut), off)
+            retry = Retry.of_moving(best.scene, retry.scene.with_objects(*cut), off, restless=best.restless)
             again = self._ended(retry, self._best_balance(retry.scene), won_back=WON_BACK_BALANCED)
-            best = self._or_again(best, again, off)
+            best = best.or_better(again, self._contact.apart)
         return best
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
@@ -134,20 +134,14 @@ class ContactRetries:
         nearest = partial(self._nearest_balance, rougher=rougher, finished=finished)
         best = nearest(scene, costs)
         for apart in (True, False):
-            lost = moved_off_masks(best, seen, self._contact) & costs.keys()
-            if not lost:
+            lost = moved_off_masks(best, seen, self._contact)
+            if not lost & costs.keys():
                 break
-            retry = Retry.of_moving(best.scene, scene, lost)
-            left = {id: costs[id] for id in lost}
+            retry = Retry.of_moving(best.scene, scene, lost, restless=best.restless)
+            left = {id: cost for id, cost in costs.items() if id in lost}
             found = nearest(retry.scene, left, apart=True) if apart else nearest(retry.scene, left, start=best.scene)
-            best = self._or_again(best, retry.ended(found, self._contact, settled=self._at_rest), lost)
+            best = best.or_better(retry.ended(found, self._contact, settled=self._at_rest), self._contact.apart)
         return best
-
-    def _or_again(self, best: SettledScene, again: SettledScene, moving: frozenset[int]) -> SettledScene:
-        """The best so far, with groups that moved since where they are better; what was held is as restless as
-        before."""
-        again = replace(again, restless=again.restless | best.restless - moving)
-        return best.or_better(again, self._contact.apart)
 
     def _nearest_balance(
         self,
@@ -188,6 +182,8 @@ class Retry:
     """With new poses; what stays is fixed."""
     moving: frozenset[int]
     """Ids of all objects that may move."""
+    restless: frozenset[int] = frozenset()
+    """Ids of those that did not rest before, where that is known."""
 
     @classmethod
     def of(cls, before: Scene, aligned: Scene, ids: Collection[int], contact: ContactMargin) -> Retry:
@@ -211,24 +207,28 @@ class Retry:
         return cls.of_moving(before, before.with_objects(*(start[id] for id in ids if id in moving)), moving)
 
     @classmethod
-    def of_moving(cls, before: Scene, aligned: Scene, moving: frozenset[int]) -> Retry:
+    def of_moving(
+        cls, before: Scene, aligned: Scene, moving: frozenset[int], *, restless: frozenset[int] = frozenset()
+    ) -> Retry:
         """Some objects move, whatever they gain, as those that do not rest yet; all else is held."""
         held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
-        return cls(before=before, scene=aligned.with_objects(*held), moving=moving)
+        return cls(before=before, scene=aligned.with_objects(*held), moving=moving, restless=restless)
 
     def ended(
         self, rested: SettledScene, contact: ContactMargin, *, settled: Callable[[Scene], SettledScene]
     ) -> SettledScene:
-        """The scene with the others free again. What came to touch them is ``settled`` with them, as they were held."""
+        """The scene with the others free again, as restless as before. What came to touch them is ``settled`` with
+        them, as they were held."""
+        restless = rested.restless | self.restless - self.moving
         scene = rested.scene.with_objects(
             *(replace(o, mobility=self.before[o.id].mobility) for o in rested.scene if o.id not in self.moving)
         )
         groups = groups_of(scene, scene, contact.apart) if len(self.moving) < len(scene.objects) else []
         mixed = {id for g in groups if g & self.moving and g - self.moving for id in g}
         if not mixed:
-            return SettledScene(scene=scene, restless=rested.restless)
+            return SettledScene(scene=scene, restless=restless)
         both = settled(replace(scene, objects=tuple(o for o in scene if o.id in mixed)))
-        return SettledScene(scene=scene.with_objects(*both.scene), restless=(rested.restless - mixed) | both.restless)
+        return SettledScene(scene=scene.with_objects(*both.scene), restless=(restless - mixed) | both.restless)
 
     def without_losers(self, rested: SettledScene, contact: ContactMargin, *, won_back: float = WON_BACK) -> Retry:
         """The retry without groups that lost more score than ``close`` may win back: they are as before."""

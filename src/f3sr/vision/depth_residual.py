@@ -29,7 +29,7 @@ class DepthResidual:
     """log(rendered depth / depth of the geometry) over the pixels that show an object: ``median``, ``spread``, the
     median distance from it, and ``size``, the median distance from 0; ``pixels`` is how many were compared.
 
-    ``before`` is the share of the object's pixels where it would hide what the photo shows before it."""
+    ``before`` is the share of the object's pixels where it is nearer than what may hide it there."""
 
     median: float
     spread: float

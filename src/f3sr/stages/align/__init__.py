@@ -18,13 +18,14 @@ from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
-from f3sr.vision.occlusion import comparable_region, occluders
+from f3sr.vision.occlusion import around, comparable_region, occluders
 from f3sr.vision.silhouette import Mask, iou
 
 PASSES = 3
 """Most alignments of an object: the first one tells better which objects hide which."""
 CHANGED = 0.1
-"""Pixels of which that is told anew, as a share of an object's mask, from which on it is aligned again."""
+"""Pixels near an object that are compared now and were not, or the reverse, as a share of its mask, from which on it is
+aligned again."""
 MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""
 
@@ -53,7 +54,7 @@ def align(
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
     Every step has a guard of its own. An object is compared only where nearer objects leave it visible. Aligned
-    objects tell better which of them are nearer: what that changes for is aligned again.
+    objects tell that better, so an object for which it changes is aligned again.
     ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
@@ -78,18 +79,26 @@ def align(
 def _objects_aligned(
     scene: Scene, ids: Sequence[int], compared: dict[int, Mask], full: Scene, config: AlignConfig
 ) -> tuple[Scene, list[Decision]]:
-    """Some objects aligned, and what was decided of each; the same scene where each was ``compared`` before.
+    """Some objects aligned, and what was decided of each; the same scene where none is compared elsewhere than before.
 
-    That is where (h, w) each was compared with its mask at last, by id, which is told anew."""
+    ``compared`` maps ids to the pixels (h, w) in which objects were compared with their masks at last. It is changed in
+    place."""
     hiding, small = occluders(scene), scene.camera.limited(config.resolution)
 
     def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
         valid = comparable_region(o, hiding[o.id], scene)
-        before, now = compared.get(o.id), resample(valid, small.width, small.height)
+        now, mask = (resample(m, small.width, small.height) for m in (valid, o.mask))
+        if o.id in compared:
+            near = around(mask)
+            if np.count_nonzero((now ^ compared[o.id])[near]) < CHANGED * np.count_nonzero(mask):
+                return o, []
+        is_first = o.id not in compared
         compared[o.id] = now
-        if before is not None and np.count_nonzero(now ^ before) < CHANGED * now.size * o.mask.mean():
-            return o, []
-        return align_object(o, ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh), config)
+        found, told = align_object(o, ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh), config)
+        if is_first:
+            return found, told
+        kept = any(d.fallback for d in told)
+        return (o, []) if kept else (found, [replace(d, choice=f"again, {d.choice}") for d in told])
 
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
         results = list(pool.map(aligned, (scene[id] for id in ids)))

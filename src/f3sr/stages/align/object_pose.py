@@ -322,10 +322,11 @@ class _Scores:
         return self.spread <= max(before.spread, NOISE * self.noise)
 
     def told(self, after: _Scores) -> str:
+        nearer = f", nearer than what hides it {self.before:.0%} -> {after.before:.0%}"
         return (
             f"valid mask IoU {self.iou:.4f} -> {after.iou:.4f}, correlation with the photo {self.correlation:.2f} -> "
             f"{after.correlation:.2f}, spread of depth {self.spread:.4f} -> {after.spread:.4f}"
-        )
+        ) + (nearer if max(self.before, after.before) >= 0.01 else "")
 
 
 def _scores(placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig) -> _Scores:
