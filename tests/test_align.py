@@ -10,6 +10,7 @@ import trimesh
 
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
+from f3sr.core.resampling import resample
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about, rotation_angle
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
@@ -388,3 +389,16 @@ def test_what_is_compared_elsewhere_once_objects_are_aligned_is_aligned_again(
     _, outcome = align(scene, PLAIN)
     fits = [d.choice for d in outcome.decisions if "object: " in d.choice]
     assert [c.startswith("again, ") for c in fits] == [False, True, True][:alignments]
+
+
+def test_a_mask_that_is_lost_at_the_working_resolution_is_aligned_once_like_any_other():
+    """Every other column of the photo is read at half of its width; the mask has the columns between."""
+    scene = photographed(thing(0, BOX, (0, 0, 0.06)))
+    coarse = replace(PLAIN, resolution=WIDTH // 2)
+    read = resample(np.arange(WIDTH)[None], WIDTH // 2, 1)[0]
+    between = np.setdiff1d(np.arange(WIDTH), read)
+    mask = np.zeros_like(scene[0].mask)
+    mask[:, between[len(between) // 2]] = scene[0].mask[:, WIDTH // 2]
+    assert mask.any() and not resample(mask, WIDTH // 2, HEIGHT // 2).any()
+    _, outcome = align(scene.with_objects(replace(scene[0], mask=mask)), coarse)
+    assert [d.about for d in outcome.decisions if d.choice.startswith("again")] == []

@@ -87,15 +87,13 @@ def _objects_aligned(
 
     def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
         valid = comparable_region(o, hiding[o.id], scene)
-        now, mask = (resample(m, small.width, small.height) for m in (valid, o.mask))
-        if o.id in compared:
-            near = around(mask)
-            if np.count_nonzero((now ^ compared[o.id])[near]) < CHANGED * np.count_nonzero(mask):
-                return o, []
-        is_first = o.id not in compared
+        mask, now = (resample(m, small.width, small.height) for m in (o.mask, valid))
+        before = compared.get(o.id)
+        if before is not None and not _differ(now, before, mask):
+            return o, []
         compared[o.id] = now
         found, told = align_object(o, ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh), config)
-        if is_first:
+        if before is None:
             return found, told
         kept = any(d.fallback for d in told)
         return (o, []) if kept else (found, [replace(d, choice=f"again, {d.choice}") for d in told])
@@ -105,6 +103,11 @@ def _objects_aligned(
     if not any(told for _, told in results):
         return scene, []
     return scene.with_objects(*(o for o, _ in results)), [d for _, several in results for d in several]
+
+
+def _differ(now: Mask, before: Mask, mask: Mask) -> bool:
+    """Whether two regions (h, w) differ near a mask (h, w) by ``CHANGED``; not where the mask is lost at their size."""
+    return bool(mask.any()) and np.count_nonzero((now ^ before)[around(mask)]) >= CHANGED * np.count_nonzero(mask)
 
 
 def _mean(ious: Mapping[int, float]) -> float:
