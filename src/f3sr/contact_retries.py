@@ -58,8 +58,7 @@ class ContactRetries:
             return SettledScene(scene=before, restless=frozenset())
         if retry.moving & balanced:
             rested = self._nearest_balance(retry.scene, self._costs(retry.scene))
-            kept = retry.without_losers(rested, self._contact, won_back=WON_BACK_BALANCED)
-            return kept.ended(replace(rested, scene=kept.scene), self._contact, settled=self._at_rest)
+            return self._ended(retry, rested, won_back=WON_BACK_BALANCED, closes=False)
         return self._ended(retry, self._separated(retry.scene))
 
     def stood_up(self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]) -> SettledScene:
@@ -106,13 +105,15 @@ class ContactRetries:
     def _contact(self) -> ContactMargin:
         return self.config.refine.contact
 
-    def _ended(self, retry: Retry, rested: SettledScene, *, won_back: float = WON_BACK) -> SettledScene:
-        return self._delivered(retry.without_losers(rested, self._contact, won_back=won_back), rested)
+    def _ended(
+        self, retry: Retry, rested: SettledScene, *, won_back: float = WON_BACK, closes: bool = True
+    ) -> SettledScene:
+        return self._delivered(retry.without_losers(rested, self._contact, won_back=won_back), rested, closes=closes)
 
-    def _delivered(self, retry: Retry, rested: SettledScene) -> SettledScene:
-        """What came to rest, closed, and with all that was held free again."""
+    def _delivered(self, retry: Retry, rested: SettledScene, *, closes: bool = True) -> SettledScene:
+        """What came to rest, closed where it ``closes``, and with all that was held free again."""
         scene = retry.scene
-        if self.closes and retry.moving:
+        if closes and self.closes and retry.moving:
             scene, _ = close(scene, self.config.close, settled=self._at_rest, restless=rested.restless)
         return retry.ended(replace(rested, scene=scene), self._contact, settled=self._at_rest)
 

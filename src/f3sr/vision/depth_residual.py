@@ -40,26 +40,26 @@ class DepthResidual:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthEvidence:
-    """``depth`` (h, w) [m] along the axis of ``camera``, nan where the geometry knows nothing of the object; and
-    ``hiding`` (h, w), that of what may hide it, nan elsewhere."""
+    """``depth`` (h, w) [m] along the axis of ``camera``, nan where the geometry knows nothing of the object.
+    ``hiding`` (h, w) is that of what may hide it, nan elsewhere; None where that is not asked."""
 
     depth: NDArray[np.float32]
-    hiding: NDArray[np.float32]
+    hiding: NDArray[np.float32] | None
     camera: Camera
 
     @classmethod
     def of(
         cls, geometry: Geometry, camera: Camera, window: Camera, shown: Mask, hidden: Mask | None = None
     ) -> DepthEvidence:
-        """``shown`` (h, w): the window's pixels that show the object; ``hidden`` (h, w), by default none: those that
-        may hide it. ``camera`` is the one of the whole photo."""
+        """``shown`` (h, w): the window's pixels that show the object; ``hidden`` (h, w): those that may hide it.
+        ``camera`` is the one of the whole photo."""
         z = np.where(geometry.valid, geometry.points[..., 2], np.float32(np.nan))
         depth = sampled(z, camera, window, fill=np.nan)
         # Not ``depth <= NEAR``: the negated comparison also catches NaN.
         depth[~(depth > rasterizer.NEAR)] = np.nan
-        masks = (shown, np.zeros_like(shown) if hidden is None else hidden & ~shown)
-        own, hiding = (np.where(mask, depth, np.float32(np.nan)) for mask in masks)
-        return cls(depth=own, hiding=hiding, camera=window)
+        hiding = None if hidden is None else np.where(hidden & ~shown, depth, np.float32(np.nan))
+        depth[~shown] = np.nan
+        return cls(depth=depth, hiding=hiding, camera=window)
 
     def residual(self, o: SceneObject) -> DepthResidual:
         """The residual of an object where it is; spread and size are inf where no pixel can be compared."""
@@ -75,13 +75,16 @@ class DepthEvidence:
             spread=float(np.median(np.abs(ratio - median))),
             size=float(np.median(np.abs(ratio))),
             pixels=len(ratio),
-            before=self._before(rendered * np.exp(-median), BEFORE * o.size),
+            before=self._before(rendered, np.exp(-median), BEFORE * o.size),
         )
 
-    def _before(self, rendered: Array, least: float) -> float:
-        """The share of a depth image (h, w), inf where it is empty, that is before what hides it by ``least`` [m]."""
+    def _before(self, rendered: Array, k: float, least: float) -> float:
+        """The share of k times a depth image (h, w), inf where it is empty, that is before what hides it by ``least``
+        [m]."""
+        if self.hiding is None:
+            return 0.0
         covered = np.isfinite(rendered)
-        return float(np.count_nonzero(rendered[covered] < self.hiding[covered] - least) / np.count_nonzero(covered))
+        return float(np.count_nonzero(k * rendered[covered] < self.hiding[covered] - least) / np.count_nonzero(covered))
 
     def mismatch(self, o: SceneObject, velocities: Array, *, most: float) -> Local:
         """Mean of |log(rendered / measured depth) - its median|, each at most ``most``, with derivatives by parameters

@@ -77,9 +77,10 @@ def occluders(scene: Scene) -> dict[int, Occluders]:
     views, found = _views(scene), dict[int, Occluders]()
     for id, mine in views.items():
         nearer = _nearer_than(mine, views.values())
-        known = {id, *(p.id for p in nearer)} if scene.geometry else views.keys()
-        farther = ((other.object, _nearer_part(other, mine)) for k, other in views.items() if k not in known)
-        found[id] = Occluders(nearer=nearer, in_part=[(p, there) for p, there in farther if there is not None])
+        known = {id, *(p.id for p in nearer)}
+        farther = [other for k, other in views.items() if k not in known] if scene.geometry else []
+        parts = ((other.object, _nearer_part(other, mine)) for other in farther)
+        found[id] = Occluders(nearer=nearer, in_part=[(p, there) for p, there in parts if there is not None])
     return found
 
 
@@ -132,8 +133,8 @@ def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
 
 
 def comparable_region(o: SceneObject, hiding: Occluders, scene: Scene) -> Mask:
-    """The pixels (H, W) where an object is compared with its mask: not those in which it may be
-    hidden, nor what the photo's geometry shows before it."""
+    """The pixels (H, W) where an object is compared with its mask: not those in which it may be hidden, nor what the
+    photo's geometry shows before it."""
     valid = ~hiding.pixels(*o.mask.shape)
     if scene.geometry:
         valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry, scene.camera)
@@ -274,9 +275,11 @@ def _nearer_part(a: _DepthView, b: _DepthView) -> Mask | None:
 
     A pixel that not both cover is like the nearest one that both do."""
     (bottom, top), rim = b.object.bounds_world[:, 2], a.object.bounds_world[1, 2]
+    if rim - bottom < BESIDE * (top - bottom):
+        return None
     both = np.isfinite(a.depth) & np.isfinite(b.depth)
     before = np.zeros_like(both)
     before[both] = a.depth[both] < (1 - ROUNDING) * b.depth[both]
-    if rim - bottom < BESIDE * (top - bottom) or np.count_nonzero(before) <= ENOUGH or _shown(a, b, both) is not None:
+    if np.count_nonzero(before) <= ENOUGH or _shown(a, b, both) is not None:
         return None
     return before[nearest_in(both)]
