@@ -107,7 +107,9 @@ def _objects_aligned(
 
 def _differ(now: Mask, before: Mask, mask: Mask) -> bool:
     """Whether two regions (h, w) differ near a mask (h, w) by ``CHANGED``; not where the mask is lost at their size."""
-    return bool(mask.any()) and np.count_nonzero((now ^ before)[around(mask)]) >= CHANGED * np.count_nonzero(mask)
+    if not mask.any():
+        return False
+    return bool(np.count_nonzero((now ^ before)[around(mask)]) >= CHANGED * np.count_nonzero(mask))
 
 
 def _mean(ious: Mapping[int, float]) -> float:
