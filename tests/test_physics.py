@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,9 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
 from f3sr.physics import mujoco_model, settling
 from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
+from f3sr.physics.near_pairs import NearPairs
 from f3sr.physics.outlook import Outlook, Snapshot
-from f3sr.physics.release import RELEASE_MARGIN, filling, release
+from f3sr.physics.release import RELEASE_MARGIN, filling, release, release_pairs, released_pose
 from f3sr.physics.settling import RestConfig, SettleConfig, settle
 from f3sr.scene import SceneObject
 from scenes import box, box_mesh, box_stack_scene
@@ -161,7 +163,7 @@ def test_friction_decides_whether_a_box_slides_down_a_slope(friction: float, sli
 def test_only_what_still_moves_at_the_end_of_a_check_does_not_rest() -> None:
     """What drifts little and has not stopped is told; what rests elsewhere in the scene is not spoilt by it."""
     scene = [box(0, at=(0, 0, 0.05)), box(1, at=(1, 0, 40))]
-    rest = RestConfig(drift=10.0, even_masses=False)
+    rest = RestConfig(drift=10.0, as_measured=False)
     result = settle(scene, settling=SettleConfig(time_limit=0.2, check_time=0.2, rounds=1, rest=rest))
     assert not result.at_rest and max(result.drifts.values()) < rest.drift
     assert result.moving == {1}
@@ -251,7 +253,7 @@ def test_rest_holds_for_both_distributions_of_mass() -> None:
     table = replace(box(0, size=(0.4, 0.4, 0.1)), mobility="fixed")
     slab = box(1, size=(0.3, 0.1, 0.02), at=(0.23, 0, 0.1105))
     slab = replace(slab, mesh=slab.mesh.with_vertices(slab.mesh.vertices * [0.2, 1, 1] - [0.12, 0, 0]))
-    lenient = settle([table, slab], settling=SettleConfig(rest=RestConfig(even_masses=False)))
+    lenient = settle([table, slab], settling=SettleConfig(rest=RestConfig(as_measured=False)))
     strict = settle([table, slab])
     assert lenient.at_rest and lenient.T_world_object[1][2, 3] > 0.1
     assert not (strict.at_rest and strict.T_world_object[1][2, 3] > 0.1)
@@ -340,3 +342,55 @@ def reference_release(objects: tuple[SceneObject, ...], seconds: float) -> tuple
         if step % 10 == 9:
             D = max(D, float(np.linalg.norm(data.xipos[1:] - start, axis=1).max()))
     return K, D
+
+
+@pytest.fixture
+def checks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[list[SceneObject], NearPairs, settling.MjData]]:
+    """Objects, model and state of every check in the model of the release protocol; states go on to their ends."""
+    seen = list[tuple[list[SceneObject], NearPairs, settling.MjData]]()
+
+    def recorded(objects: list[SceneObject]) -> NearPairs:
+        near = release_pairs(objects)
+        seen.append((objects, near, mujoco_model.engine().MjData(near.model)))
+        monkeypatch.setattr(near, "step", partial(_step_both, near, seen[-1][2]))
+        return near
+
+    monkeypatch.setattr("f3sr.physics.settling.release_pairs", recorded)
+    return seen
+
+
+def _step_both(near: NearPairs, copy: settling.MjData, data: settling.MjData) -> None:
+    NearPairs.step(near, data)
+    copy.qpos[:] = data.qpos
+
+
+def test_what_settles_is_checked_in_the_very_model_that_measures_it(
+    checks: list[tuple[list[SceneObject], NearPairs, settling.MjData]],
+) -> None:
+    """Another model of the same scene finds other contacts: a plate that leaned on a toy rested in it, and slid by
+    12 mm when it was measured."""
+    low = replace(box(7, size=(0.4, 0.4, 0.1), at=(0, 0, 0.0502)), mask_name="b")
+    turned = replace(box(3, R=rotation_about([1, 2, 3], 0.7), at=(0, 0, 0.25)), mask_name="a")
+    result = settle([low, turned])
+    assert result.at_rest
+    measured = release_pairs([replace(o, T_world_object=result.T_world_object[o.id]) for o in (low, turned)]).model
+    for name in ("mesh_vert", "geom_pos", "geom_quat", "body_mass", "body_ipos", "body_inertia", "geom_margin"):
+        assert np.array_equal(getattr(checks[-1][1].model, name), getattr(measured, name)), name
+
+
+def test_a_round_begins_where_the_check_before_it_ended(
+    checks: list[tuple[list[SceneObject], NearPairs, settling.MjData]],
+) -> None:
+    """Positions come back from the model of the release, whose bodies have another order and other frames."""
+    table = replace(box(5, size=(0.4, 0.4, 0.1)), mobility="fixed", mask_name="b")
+    slab = box(1, size=(0.3, 0.1, 0.02), at=(0.23, 0, 0.1105), R=rotation_about([0, 0, 1], 0.2))
+    slab = replace(slab, mesh=slab.mesh.with_vertices(slab.mesh.vertices * [0.2, 1, 1] - [0.12, 0, 0]), mask_name="c")
+    beside = replace(box(9, at=(1, 0.5, 0.0502), R=rotation_about([0, 0, 1], 0.5)), mask_name="a")
+    result = settle([table, slab, beside], settling=SettleConfig(rounds=1))
+    assert result.moving == {1}
+    (objects, near, end), travel = checks[0], 0.0
+    for o in objects:
+        T = released_pose(near.model, end, o)
+        assert np.allclose(result.T_world_object[o.id], T, rtol=0, atol=1e-12)
+        travel = max(travel, float(np.linalg.norm(T[:3, 3] - o.T_world_object[:3, 3])))
+    assert len(checks) == 1 and travel > RestConfig.drift

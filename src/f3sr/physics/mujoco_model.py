@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
-from f3sr.core.transforms import Array, quaternion_from_rotation
+from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from f3sr.physics import restitution
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.scene import GRAVITY, GROUND, Ground, SceneObject
@@ -198,9 +198,7 @@ def ground_contact_friction(ground_friction: float) -> tuple[float, float, float
     return ground_friction, TORSIONAL_FRICTION, GROUND_ROLLING_FRICTION
 
 
-def empty_spec(
-    config: PhysicsConfig, margin: float | None = None, *, ground_friction: float = Ground.friction
-) -> MjSpec:
+def empty_spec(config: PhysicsConfig, *, ground_friction: float = Ground.friction) -> MjSpec:
     """Options and the ground plane z = 0."""
     mujoco = engine()
     spec = mujoco.MjSpec()
@@ -217,7 +215,7 @@ def empty_spec(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[20, 20, 0.1],
         friction=ground_contact_friction(ground_friction),
-        **contact_options(config, margin),
+        **contact_options(config),
     )
     return spec
 
@@ -231,24 +229,16 @@ def contact_options(config: PhysicsConfig, margin: float | None = None) -> dict[
     }
 
 
-def add_body(
-    spec: MjSpec,
-    body: Body,
-    config: PhysicsConfig,
-    *,
-    even_density: float | None = None,
-    margin: float | None = None,
-) -> None:
-    """The body with its explicit inertia, or with the same density in all its parts when one is given."""
+def add_body(spec: MjSpec, body: Body, config: PhysicsConfig) -> None:
+    """The body with its explicit inertia."""
     mujoco = engine()
     T, moment = body.T_world_body, body.inertia
     node = spec.worldbody.add_body(name=body.name, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3]))
     if not body.fixed:
         node.add_freejoint(name=body.name)
-    if even_density is None:
-        node.explicitinertial = True
-        node.mass, node.ipos = body.mass, body.center
-        node.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
+    node.explicitinertial = True
+    node.mass, node.ipos = body.mass, body.center
+    node.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
     for k, part in enumerate(body.parts):
         name = part_name(body.name, k)
         mesh = add_mesh(spec, name, part)
@@ -257,14 +247,11 @@ def add_body(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             friction=body.friction,
-            **contact_options(config, margin),
+            **contact_options(config),
         )
         if body.solref is not None:
             geom.solref, geom.priority = body.solref, 1
-        if even_density is None:
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
-        else:
-            geom.density = even_density
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
 
 
 def add_mesh(spec: MjSpec, name: str, part: ConvexPart) -> MjsMesh:
@@ -273,3 +260,11 @@ def add_mesh(spec: MjSpec, name: str, part: ConvexPart) -> MjsMesh:
         uservert=part.vertices.astype(np.float32).ravel(),
         userface=part.faces.astype(np.int32).ravel(),
     )
+
+
+def pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
+    """The pose (4, 4) of an object's body."""
+    if o.mobility == "fixed":
+        return o.T_world_object
+    q = data.joint(body_name(o.id)).qpos
+    return pose(rotation_from_quaternion(q[3:]), q[:3])

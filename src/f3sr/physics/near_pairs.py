@@ -40,9 +40,9 @@ SHIFT_AND_TURN = np.array([0, 3])
 class NearPairs:
     """A model that is stepped with contacts of near parts."""
 
-    def __init__(self, spec: MjSpec, config: PhysicsConfig, margin: float | None = None) -> None:
-        """Takes a specification whose first geom is the ground; all have ``margin``, by default that of ``config``."""
-        options = contact_options(config, margin)
+    def __init__(self, spec: MjSpec, config: PhysicsConfig) -> None:
+        """Takes a specification whose first geom is the ground; all have the margin of ``config``."""
+        options = contact_options(config)
         options["margin"] *= 2  # MuJoCo adds the margins of two geoms
         for _ in range(ROOM * len(spec.geoms)):
             spec.add_pair(geomname1=GROUND_NAME, geomname2=GROUND_NAME, **options)

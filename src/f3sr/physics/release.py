@@ -8,15 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from f3sr.core.transforms import Array
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import (
     DEFAULT_PHYSICS,
+    MjData,
+    MjModel,
     MjSpec,
-    PhysicsConfig,
     add_mesh,
+    body_name,
     contact_options,
     empty_spec,
     engine,
+    part_name,
+    pose_of,
 )
 from f3sr.physics.near_pairs import NearPairs
 from f3sr.scene import SceneObject
@@ -27,6 +32,7 @@ RELEASE_DENSITY = 600.0
 """Of all objects in the release protocol [kg/m3], whatever they are made of."""
 RELEASE_FRICTION = (0.6, 0.005, 0.001)
 """Sliding, torsional [m] and rolling [m] friction of all contacts in the release protocol."""
+RELEASE_PHYSICS = replace(DEFAULT_PHYSICS, contact=ContactMargin(body=RELEASE_MARGIN))
 
 
 class Release(NamedTuple):
@@ -48,8 +54,7 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
     mujoco = engine()
     if not objects:
         return Release(0.0, 0.0)
-    config = replace(DEFAULT_PHYSICS, contact=ContactMargin(body=RELEASE_MARGIN))
-    near = NearPairs(_release_spec(objects, config, true_scale), config)
+    near = release_pairs(objects, true_scale=true_scale)
     model = near.model
     data = mujoco.MjData(model)
     K_max = D_max = 0.0
@@ -75,24 +80,38 @@ def filling(o: SceneObject) -> float:
     return max(1e-9 / o.scale**3, min(o.mesh.stored_volume, o.mesh.hull.volume, parts)) / parts
 
 
-def _release_spec(objects: Sequence[SceneObject], config: PhysicsConfig, true_scale: float) -> MjSpec:
+def release_pairs(objects: Sequence[SceneObject], *, true_scale: float = 1.0) -> NearPairs:
+    """The model of the release protocol, stepped with contacts of near parts."""
+    return NearPairs(release_spec(objects, true_scale=true_scale), RELEASE_PHYSICS)
+
+
+def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
     vertices in world coordinates, mass by density on the geoms."""
     mujoco = engine()
-    spec = empty_spec(config, ground_friction=RELEASE_FRICTION[0])
-    spec.compiler.balanceinertia = False
-    for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
-        body = spec.worldbody.add_body(name=f"o{i}")
+    spec = empty_spec(RELEASE_PHYSICS, ground_friction=RELEASE_FRICTION[0])
+    for o in in_order_of_release(objects):
+        name = body_name(o.id)
+        body = spec.worldbody.add_body(name=name)
         if o.mobility != "fixed":
-            body.add_freejoint()
+            body.add_freejoint(name=name)
         to_true = np.diag([true_scale, true_scale, true_scale, 1.0]) @ o.T_world_asset
         for k, part in enumerate(o.solids):
-            add_mesh(spec, f"m{i}_{k}", part.moved(to_true))
+            add_mesh(spec, part_name(name, k), part.moved(to_true))
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=f"m{i}_{k}",
+                meshname=part_name(name, k),
                 density=RELEASE_DENSITY * filling(o),
                 friction=RELEASE_FRICTION,
-                **contact_options(config),
+                **contact_options(RELEASE_PHYSICS),
             )
     return spec
+
+
+def in_order_of_release(objects: Sequence[SceneObject]) -> list[SceneObject]:
+    return sorted(objects, key=lambda o: o.mask_name)
+
+
+def released_pose(model: MjModel, data: MjData, o: SceneObject) -> Array:
+    """The pose (4, 4) of an object in the model of the release protocol, at true scale 1."""
+    return o.T_world_object if o.mobility == "fixed" else pose_of(model, data, o) @ o.T_world_object

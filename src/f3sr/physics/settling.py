@@ -11,24 +11,21 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array, pose, rotation_from_quaternion
+from f3sr.core.transforms import Array, rotation_from_quaternion
 from f3sr.physics.mujoco_model import (
     DEFAULT_PHYSICS,
     MjData,
     MjModel,
-    MjSpec,
     PhysicsConfig,
-    add_body,
     body_name,
-    body_of,
     build_spec,
     contact_loads,
-    empty_spec,
     engine,
+    pose_of,
 )
 from f3sr.physics.near_pairs import NearPairs
 from f3sr.physics.outlook import Outlook, Snapshot
-from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
+from f3sr.physics.release import release_pairs
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Ground, SceneObject
 from f3sr.settings import constants, settings
@@ -47,9 +44,9 @@ class RestConfig:
     drift: float = 8e-4
     """Largest travel of a centre of mass in an undamped check [m], four fifths of what the release protocol may show.
     Soft contacts creep on slopes, .1 mm in 5 s in piles and .5 mm in nested bowls, however long they settle."""
-    even_masses: bool = True
-    """Check again as the release protocol has it: equal densities spread evenly over the parts, one friction, a wider
-    margin. A pose can stand with one centre of mass and tip with the other."""
+    as_measured: bool = True
+    """Check again in the model of the release protocol: equal densities spread evenly over the parts, one friction, a
+    wider margin. A pose can stand with one centre of mass and tip with the other."""
 
 
 @settings
@@ -102,16 +99,6 @@ class SettleResult:
         return not self.moving
 
 
-def even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
-    """The same model with the release protocol's masses, spread evenly over the parts, its friction, and its margin,
-    which is wider, so that a push like the protocol's comes first."""
-    spec = empty_spec(config, RELEASE_MARGIN, ground_friction=RELEASE_FRICTION[0])
-    for o in objects:
-        body = replace(body_of(o), friction=RELEASE_FRICTION)
-        add_body(spec, body, config, even_density=RELEASE_DENSITY * filling(o), margin=RELEASE_MARGIN)
-    return spec
-
-
 def settle(
     objects: Sequence[SceneObject],
     config: PhysicsConfig = DEFAULT_PHYSICS,
@@ -125,12 +112,7 @@ def settle(
     starts where the release ended. A state that is not finite is reported as ``exploded``, not raised.
     """
     mujoco = engine()
-    near = NearPairs(build_spec(objects, config, ground_friction=ground_friction), config)
-    checks = {near: settling.check_time}
-    if settling.rest.even_masses:
-        checks[NearPairs(even_spec(objects, config), config, RELEASE_MARGIN)] = settling.release_time
-    for check in checks:
-        check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    near = _without_reset(NearPairs(build_spec(objects, config, ground_friction=ground_friction), config))
     run, model = _Settling(near, settling), near.model
     data = mujoco.MjData(model)
     drifts, moving, history = np.full(len(objects), np.inf), np.full(len(objects), True), list[float]()
@@ -138,8 +120,11 @@ def settle(
         run.until_rest(data)
         if run.exploded:
             break
-        drifts, moving, failed = run.released(checks, data)
-        data = _fresh(model, failed) if failed else data
+        checks = [_Check.as_simulated(near, data, settling)]
+        if settling.rest.as_measured:
+            checks.append(_Check.as_measured(objects, model, data, settling))
+        drifts, moving, failed = run.released(checks)
+        data = _fresh(model, failed.positions) if failed else data
         history.append(float(drifts.max()))
         if failed is None or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
@@ -154,17 +139,77 @@ def settle(
     )
 
 
-def _fresh(model: MjModel, data: MjData) -> MjData:
-    """The same positions with nothing remembered: no velocity, no warm start."""
+def _fresh(model: MjModel, qpos: Array) -> MjData:
+    """Positions with nothing remembered: no velocity, no warm start."""
     new = engine().MjData(model)
-    new.qpos[:] = data.qpos
+    new.qpos[:] = qpos
     return new
+
+
+def _without_reset(near: NearPairs) -> NearPairs:
+    near.model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    return near
 
 
 def _creeps(history: Sequence[float]) -> bool:
     """Whether the largest drifts of rounds [m] do not fall any more: what creeps would creep in every further round."""
     recent, before = history[-CREEPING:], history[:-CREEPING]
     return bool(before) and min(recent) > FALLING * min(before)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Check:
+    """An undamped run from where all objects are."""
+
+    near: NearPairs
+    data: MjData
+    """At its start, then at its end."""
+    seconds: float
+    bodies: NDArray[np.int64]
+    """(n,) the body of every object, the first is 0."""
+    start: Array | None = None
+    """(m, 7) positions and quaternions of what can move, where those of ``data`` are relative to them."""
+    joints: NDArray[np.int64] | None = None
+    """(m,) the free joint of each."""
+
+    @classmethod
+    def as_simulated(cls, near: NearPairs, data: MjData, settling: SettleConfig) -> _Check:
+        bodies = np.arange(near.model.nbody - 1)
+        return cls(near=near, data=_fresh(near.model, data.qpos), seconds=settling.check_time, bodies=bodies)
+
+    @classmethod
+    def as_measured(
+        cls, objects: Sequence[SceneObject], model: MjModel, data: MjData, settling: SettleConfig
+    ) -> _Check:
+        """In the model of the release protocol, with objects where ``data`` of their own ``model`` has them."""
+        here = [replace(o, T_world_object=pose_of(model, data, o)) for o in objects]
+        near = _without_reset(release_pairs(here))
+        names = [body_name(o.id) for o in objects]
+        return cls(
+            near=near,
+            data=engine().MjData(near.model),
+            seconds=settling.release_time,
+            bodies=np.array([near.model.body(name).id - 1 for name in names]),
+            start=data.qpos.reshape(-1, 7).copy(),
+            joints=np.array(
+                [near.model.joint(n).id for o, n in zip(objects, names, strict=True) if o.mobility != "fixed"], np.int64
+            ),
+        )
+
+    @property
+    def positions(self) -> Array:
+        """Those of the objects' own model."""
+        if self.start is None or self.joints is None:
+            return self.data.qpos
+        moves = self.data.qpos.reshape(-1, 7)[self.joints]
+        return np.concatenate([_moved(q, by) for q, by in zip(self.start, moves, strict=True)] or [np.empty(0)])
+
+
+def _moved(q: Array, by: Array) -> Array:
+    """A position and quaternion (7,) moved by another such in the world."""
+    turned = np.empty(4)
+    engine().mju_mulQuat(turned, by[3:], q[3:])
+    return np.r_[rotation_from_quaternion(by[3:]) @ q[:3] + by[:3], turned]
 
 
 @dataclass(eq=False)
@@ -190,24 +235,21 @@ class _Settling:
             if not self._moving(before, Snapshot.of(data)).any():
                 return
 
-    def released(
-        self, checks: Mapping[NearPairs, float], data: MjData
-    ) -> tuple[Array, NDArray[np.bool_], MjData | None]:
-        """Undamped checks of so many seconds from the positions of ``data``, all at the same time: MuJoCo releases the
-        GIL. The largest travel of every centre of mass (n,) [m] up to the first check that fails, which bodies (n,) do
-        not rest in it, and where it ended; None where all rest."""
-        runs = [_Settling(near, self.config) for near in checks]
-        ends = [_fresh(near.model, data) for near in checks]
-        going_on = [begun(run.undamped, *given) for run, *given in zip(runs, ends, checks.values(), strict=True)]
+    def released(self, checks: Sequence[_Check]) -> tuple[Array, NDArray[np.bool_], _Check | None]:
+        """Undamped checks, all at the same time: MuJoCo releases the GIL. The largest travel of every centre of mass
+        (n,) [m] up to the first check that fails, which objects (n,) do not rest in it, and that check; None where all
+        rest."""
+        runs = [_Settling(check.near, self.config) for check in checks]
+        going_on = [begun(run.undamped, c.data, c.seconds) for run, c in zip(runs, checks, strict=True)]
         drifts, moving = np.zeros(self._model.nbody - 1), np.full(self._model.nbody - 1, False)
-        for run, end, check in zip(runs, ends, going_on, strict=True):
-            travels, moving = check.result()
+        for run, check, result in zip(runs, checks, going_on, strict=True):
+            travels, moving = (of_bodies[check.bodies] for of_bodies in result.result())
             drifts = np.maximum(drifts, travels)
             self.max_speed, self.exploded = max(self.max_speed, run.max_speed), self.exploded or run.exploded
             if moving.any():
                 for other in runs:
                     other.unwanted = True
-                return drifts, moving, end
+                return drifts, moving, check
         return drifts, moving, None
 
     def undamped(self, data: MjData, seconds: float) -> tuple[Array, NDArray[np.bool_]]:
@@ -263,11 +305,3 @@ class _Settling:
         angular = np.arccos(np.clip((turns - 1) / 2, -1, 1)) / self.config.rest.window
         self.exploded = self.exploded or not np.isfinite(linear + angular).all()
         return ~((linear < self.config.rest.speed) & (angular < self.config.rest.turning))
-
-
-def pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
-    """The pose (4, 4) of an object's body."""
-    if o.mobility == "fixed":
-        return o.T_world_object
-    q = data.joint(body_name(o.id)).qpos
-    return pose(rotation_from_quaternion(q[3:]), q[:3])

@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, MjModel, MjSpec, compiled, engine
+from f3sr.physics.mujoco_model import MjModel, MjSpec, compiled, engine
 from f3sr.physics.outlook import Outlook, Snapshot
-from f3sr.physics.settling import DEFAULT_SETTLING, even_spec, pose_of
+from f3sr.physics.release import release_spec, released_pose
+from f3sr.physics.settling import DEFAULT_SETTLING
 from f3sr.scene import SceneObject
 
 SOLREF = (0.02, 1.0)
@@ -33,7 +34,7 @@ def soft_release(objects: Sequence[SceneObject], far: float) -> Mapping[int, Arr
 
     Masses and friction are those of the release protocol. Whether one travels is seen without damping. What falls would
     spin, so places are those of a run with the damping of ``settle``."""
-    model = compiled(_softened(even_spec(objects, DEFAULT_PHYSICS)))
+    model = compiled(_softened(release_spec(objects)))
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     if not _travels(model, far):
         return {}
@@ -42,7 +43,7 @@ def soft_release(objects: Sequence[SceneObject], far: float) -> Mapping[int, Arr
     for _ in range(_steps(model)):
         engine().mj_step(model, data)
         data.qvel *= damping
-    return {o.id: pose_of(model, data, o) for o in objects} if np.isfinite(data.qpos).all() else {}
+    return {o.id: released_pose(model, data, o) for o in objects} if np.isfinite(data.qpos).all() else {}
 
 
 def _travels(model: MjModel, far: float) -> bool:
