@@ -34,7 +34,7 @@ def contents(names: Sequence[str], count: int, radius: float, base: float, rng: 
         R = turned(rng.uniform(0, 360)) @ turned(rng.uniform(-25, 25), X)
         away, angle = radius * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
         at = (away * np.cos(angle), away * np.sin(angle), height)
-        items.append(scanned(_label(str(name)), shape, mesh, at, R))
+        items.append(scanned(label_of(str(name)), shape, mesh, at, R))
         height += float(np.ptp(mesh.vertices @ R.T, axis=0)[2]) + DROP
     return items
 
@@ -47,7 +47,7 @@ def scanned(label: str, shape: Shape, mesh: Mesh, at: Sequence[float], R: Array,
     )  # fmt: skip
 
 
-def _label(name: str) -> str:
+def label_of(name: str) -> str:
     return name.split("_", 1)[1]
 
 
@@ -60,7 +60,7 @@ def scan(name: str) -> tuple[Shape, Mesh]:
 
 
 def container(name: str) -> Item:
-    return scanned(_label(name), *scan(name), (0.0, 0.0, 0.001), rotation_about(Z, 0.0))
+    return scanned(label_of(name), *scan(name), (0.0, 0.0, 0.001), rotation_about(Z, 0.0))
 
 
 def in_bowl(rng: np.random.Generator) -> Stage:
@@ -83,7 +83,7 @@ def in_mug(rng: np.random.Generator) -> Stage:
     R = rotation_about(axis, float(np.arccos(np.clip(along @ Z, -1, 1))) - 0.12)
     low = float((mesh.vertices @ R.T)[:, 2].min())
     middle = (mesh.vertices @ R.T).mean(0)
-    tool = scanned(_label(name), shape, mesh, (-middle[0], -middle[1], 0.02 - low), R)
+    tool = scanned(label_of(name), shape, mesh, (-middle[0], -middle[1], 0.02 - low), R)
     beside = contents(SMALL, 2, 0.01, 0.002, rng)
     moved = [scanned(i.label, i.shape, i.mesh, (0.16 - 0.3 * k, 0.03, 0.03), i.R) for k, i in enumerate(beside)]
     return Stage(items=[container("ycb_mug"), tool, *moved], distance=0.7, height=0.45, seconds=5.0)

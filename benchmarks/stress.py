@@ -30,6 +30,8 @@ CONTAINERS_FILE = Path(__file__).with_name("containers.json")
 """What is expected of their means."""
 ROOMS = ("kitchen", "lounge", "bedroom", "study", "dining_room", "storeroom")
 """Floors with furniture that is itself objects; by default they are not run."""
+SCANS = ("scan_pile", "scan_stack", "scan_scatter", "scan_mixed")
+"""Scans as the ten rendered scenes have them; by default they are not run."""
 GROWTH = (5, 10, 20, 50)
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
@@ -203,7 +205,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--counts", nargs="+", type=int, default=list(GROWTH), choices=GROWTH, metavar="N")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "bench" / "stress", help="inputs, packages, tables")
     args = parser.parse_args()
-    known = (*CASES, *CONTAINERS, *ROOMS)
+    known = (*CASES, *CONTAINERS, *ROOMS, *SCANS)
     if unknown := sorted(set(args.cases) - {*known}):
         parser.error(f"no cases {', '.join(unknown)}; there are {', '.join(known)}")
     if args.update and not args.containers:

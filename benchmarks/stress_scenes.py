@@ -21,6 +21,7 @@ from PIL import Image
 
 import container_things
 import room_things
+import scan_things
 import stress_things
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
@@ -40,18 +41,12 @@ AIMED = 6
 """Times that the camera is turned to what it saw in the middle."""
 OFF_CENTER = (4.0, -3.0)
 """Of the principal point [px]: estimated geometry has it in the middle, and takes what it misses for a turn."""
-MIN_PIXELS = 60
-"""What shows less has no mask and is no object: nobody would prompt for it."""
 FINE, FINER = 28, 60
 """Edges along an object's size: some 5,000 and 20,000 triangles; the finer ones for the growth table."""
 WALL = 1.5
 """Distance of the wall behind the objects [m]."""
 FLOOR_COLOR, WALL_COLOR = (0.55, 0.5, 0.44), (0.8, 0.8, 0.78)
-GENERATED = Damage(bump=0.002, squash=0.0)
-"""What generated assets miss of place, turn and size (as the bundled example's), their shapes nearly right."""
-PUSHED = Damage(unit=1.0, focal=1.0, depth=0, sideways=0, turn=0, scale=0, bump=0, squash=0)
-"""Assets where they truly are but for what a stage pushes them; a geometry with its noise."""
-CASES = {**stress_things.CASES, **container_things.CASES, **room_things.CASES}
+CASES = {**stress_things.CASES, **container_things.CASES, **room_things.CASES, **scan_things.CASES}
 CONVENTION = "sam-3d-objects: p_opencv = s F R(q)^T A v_glb + F t"
 
 
@@ -80,11 +75,10 @@ def write(data: Path, case: Case) -> Path:
     everything = [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, rest.T_world_object, strict=True))]
     camera = viewpoint(stage, everything)
     seen = rasterizer.visible_ids(everything, camera)
-    kept = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= MIN_PIXELS]
-    damage = GENERATED if stage.generated else PUSHED
+    kept = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= stage.seen]
     write_picture(folder, [everything[k] for k in kept], [stage.items[k].label for k in kept], camera)
-    write_geometry(folder, everything, camera, damage, rng)
-    write_assets(folder, kept, stage, everything, camera, damage, case.seed)
+    write_geometry(folder, everything, camera, stage.damage, rng)
+    write_assets(folder, kept, stage, everything, camera, stage.damage, case.seed)
     for new, k in enumerate(kept):
         save_glb(meshes[k], data / "objects" / f"{case.name}_{new:02d}.glb")
     truth = truth_of(case, kept, stage.items, rest.T_world_object, camera)
@@ -224,7 +218,7 @@ def write_assets(
         bent = o.mesh.vertices + size * damage.bump * degrade.Waves.draw(rng)((o.mesh.vertices - low) / size)
         low, high = bent.min(0), bent.max(0)
         extent, middle = float((high - low).max()) / 0.98, (low + high) / 2
-        placed = degrade.place(T_camera_object, middle, extent, size, camera, damage, rng)
+        placed = degrade.place(T_camera_object, middle, extent, size, camera, stage.damage, rng)
         local = (bent - middle) / extent
         save_glb(o.mesh.with_vertices(local[:, [0, 2, 1]] * [1, 1, -1]), folder / "assets" / f"{new:02d}.glb")
         entries.append({"mask": f"{new:02d}_{item.label}.png", "mesh": f"{new:02d}.glb", **placed})

@@ -16,12 +16,17 @@ from f3sr.core.transforms import Array, pose, rotation_about
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from tabletop import shapes
+from tabletop.degrade import Damage
 from tabletop.shapes import Shape
 from tabletop.things import Thing
 
 DENSITY = 600.0
 """[kg/m3], the product's default."""
 X, Y, Z = np.eye(3)
+GENERATED = Damage(bump=0.002, squash=0.0)
+"""What generated assets miss of place, turn and size (as the bundled example's), their shapes nearly right."""
+PUSHED = Damage(unit=1.0, focal=1.0, depth=0, sideways=0, turn=0, scale=0, bump=0, squash=0)
+"""Assets where they truly are but for what a stage pushes them; a geometry with its noise."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,8 +55,10 @@ class Stage:
     """Of physics until all rests."""
     skip: str = ""
     """Stages that f3sr is told to leave out."""
-    generated: bool = True
-    """Assets miss their places as generated ones do; else they are only pushed."""
+    damage: Damage = GENERATED
+    """What geometry and assets miss."""
+    seen: int = 60
+    """Pixels. What shows less has no mask and is no object: nobody would prompt for it."""
 
 
 def item(label: str, shape: Shape, at: Sequence[float], rng: np.random.Generator, **more: object) -> Item:
@@ -222,7 +229,7 @@ def overlaps(rng: np.random.Generator) -> Stage:
     pair(0.14, 0.1, brick([0.12, 0.12, 0.06]), brick([0.09, 0.09, 0.08]), 0.061 * Z, 0.04 * Z)
     pair(-0.25, -0.12, shapes.mug(0.042, 0.095), ball(0.04), -0.09 * X, -0.04 * X)
     pair(0.05, -0.12, shapes.bowl(0.085, 0.06), brick([0.1, 0.1, 0.04]), 0.14 * X, 0.07 * X)
-    return Stage(items=items, distance=1.1, height=0.75, skip="align", generated=False)
+    return Stage(items=items, distance=1.1, height=0.75, skip="align", damage=PUSHED)
 
 
 def dining(rng: np.random.Generator) -> Stage:

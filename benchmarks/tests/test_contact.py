@@ -14,6 +14,7 @@ import baseline
 import contact as bench
 import contact_report as report
 import damping
+import scan_things
 import stress
 import stress_judged as judged
 import stress_things as things
@@ -153,6 +154,12 @@ def test_a_case_is_the_same_twice_and_starts_apart(case: str) -> None:
     low = [float((item.T_start[:3, :3] @ p.T).T[:, 2].min() + item.at[2]) for item in first.items
            for p in item.shape.parts]  # fmt: skip
     assert min(low) > -1e-3, "nothing starts in the floor"
+
+
+def test_places_of_scattered_scans_are_apart() -> None:
+    places = np.array(scan_things.apart(np.random.default_rng(1), 8, half=0.25, gap=0.17))
+    distances = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(8, 1)]
+    assert places.shape == (8, 2) and np.abs(places).max() <= 0.25 and distances.min() > 0.17
 
 
 def test_bounds_are_told_by_measure() -> None:
