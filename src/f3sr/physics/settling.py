@@ -167,10 +167,10 @@ class _Check:
     seconds: float
     bodies: NDArray[np.int64]
     """(n,) the body of every object, the first is 0."""
-    start: Array | None = None
-    """(m, 7) positions and quaternions of what can move, where those of ``data`` are relative to them."""
     joints: NDArray[np.int64] | None = None
-    """(m,) the free joint of each."""
+    """(m,) the free joints of what can move, in the order of the objects; None where they are in it already."""
+    start: Array | None = None
+    """(m, 7) the positions and quaternions to which those of ``joints`` are relative."""
 
     @classmethod
     def as_simulated(cls, near: NearPairs, data: MjData, settling: SettleConfig) -> _Check:
@@ -243,8 +243,8 @@ class _Settling:
         going_on = [begun(run.undamped, c.data, c.seconds) for run, c in zip(runs, checks, strict=True)]
         drifts, moving = np.zeros(self._model.nbody - 1), np.full(self._model.nbody - 1, False)
         for run, check, result in zip(runs, checks, going_on, strict=True):
-            travels, moving = (of_bodies[check.bodies] for of_bodies in result.result())
-            drifts = np.maximum(drifts, travels)
+            travels, restless = result.result()
+            drifts, moving = np.maximum(drifts, travels[check.bodies]), restless[check.bodies]
             self.max_speed, self.exploded = max(self.max_speed, run.max_speed), self.exploded or run.exploded
             if moving.any():
                 for other in runs:
