@@ -12,7 +12,7 @@ from f3sr.core.flats import flattened
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose
 from f3sr.physics.release import release
-from f3sr.physics.settling import RestConfig, settle
+from f3sr.physics.settling import RestConfig, SettleConfig, settle
 from f3sr.proxies.few_parts import FLAT, with_few_parts
 from f3sr.proxies.hulls import beyond, planes
 from f3sr.scene import SceneObject
@@ -52,9 +52,10 @@ def on_a_slab(part: ConvexPart) -> tuple[SceneObject, SceneObject]:
 
 
 def travel(part: ConvexPart) -> float:
-    """Travel [m] of a part on a slab, released where it settled."""
+    """Travel [m] of a part on a slab, released where it settled. A check by the release itself would let what creeps
+    go on until it creeps by less."""
     objects = on_a_slab(part)
-    found = settle(objects)
+    found = settle(objects, settling=SettleConfig(rest=RestConfig(as_measured=False)))
     return release([replace(o, T_world_object=found.T_world_object[o.id]) for o in objects]).D_max
 
 
