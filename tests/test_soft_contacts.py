@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.physics.soft_contacts import soft_release
 from f3sr.scene import Scene
@@ -126,3 +126,13 @@ def test_what_creeps_by_millimetres_stays_where_it_would_rest_farther_off_the_ph
     after, told = coarsen(scene, CoarsenConfig(), made=scene, joins={}, settled=settled, balanced=unmoved)
     assert after[0].T_world_object[0, 3] == pytest.approx(0.0 if stays else rest)
     assert [d.choice for d in told.decisions] == ["stays" if stays else "moved by 9 mm"]
+
+
+def test_what_falls_lands_at_the_same_place_wherever_the_scene_is() -> None:
+    """Euler's steps turn a body about its own origin; one at the scene's origin landed by centimetres elsewhere."""
+    tipping = box(0, size=(0.1, 0.1, 0.4), at=(0, 0.3, 0.21), R=rotation_about([0, 1, 0], 0.35))
+    landed = [
+        soft_release([tipping.moved(pose(t=[d, 0, 0]), stage="settle", reason="")], 1e-2)[0][:3, 3] - [d, 0, 0]
+        for d in (0.0, 3.0)
+    ]
+    assert np.allclose(*landed, rtol=0, atol=2e-3) and abs(landed[0][0]) > 0.1

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, pose
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import (
     DEFAULT_PHYSICS,
@@ -85,17 +85,21 @@ def release_pairs(objects: Sequence[SceneObject], *, true_scale: float = 1.0) ->
     return NearPairs(release_spec(objects, true_scale=true_scale), RELEASE_PHYSICS)
 
 
-def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0) -> MjSpec:
+def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0, centred: bool = False) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
-    vertices in world coordinates, mass by density on the geoms."""
+    vertices in world coordinates, mass by density on the geoms.
+
+    ``centred`` puts each body at the middle of its object instead: far from the origin what tumbles lands elsewhere, as
+    Euler's steps turn it about its body's origin."""
     mujoco = engine()
     spec = empty_spec(RELEASE_PHYSICS, ground_friction=RELEASE_FRICTION[0])
-    for o in in_order_of_release(objects):
+    for o in sorted(objects, key=lambda o: o.mask_name):
         name = body_name(o.id)
-        body = spec.worldbody.add_body(name=name)
+        origin = true_scale * o.bounds_world.mean(0) if centred else np.zeros(3)
+        body = spec.worldbody.add_body(name=name, pos=origin)
         if o.mobility != "fixed":
             body.add_freejoint(name=name)
-        to_true = np.diag([true_scale, true_scale, true_scale, 1.0]) @ o.T_world_asset
+        to_true = pose(t=-origin) @ np.diag([true_scale, true_scale, true_scale, 1.0]) @ o.T_world_asset
         for k, part in enumerate(o.solids):
             add_mesh(spec, part_name(name, k), part.moved(to_true))
             body.add_geom(
@@ -108,10 +112,8 @@ def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0) -> 
     return spec
 
 
-def in_order_of_release(objects: Sequence[SceneObject]) -> list[SceneObject]:
-    return sorted(objects, key=lambda o: o.mask_name)
-
-
 def released_pose(model: MjModel, data: MjData, o: SceneObject) -> Array:
     """The pose (4, 4) of an object in the model of the release protocol, at true scale 1."""
-    return o.T_world_object if o.mobility == "fixed" else pose_of(model, data, o) @ o.T_world_object
+    if o.mobility == "fixed":
+        return o.T_world_object
+    return pose_of(model, data, o) @ pose(t=-model.body(body_name(o.id)).pos) @ o.T_world_object

@@ -118,6 +118,7 @@ def settle(
     drifts, moving, history = np.full(len(objects), np.inf), np.full(len(objects), True), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
+        run.exploded = run.exploded or not np.isfinite(data.qpos).all()
         if run.exploded:
             break
         checks = [_Check.as_simulated(near, data, settling)]
@@ -166,7 +167,7 @@ class _Check:
     """At its start, then at its end."""
     seconds: float
     bodies: NDArray[np.int64]
-    """(n,) the body of every object, the first is 0."""
+    """(n,) the body of every object, the first after the world being 0."""
     joints: NDArray[np.int64] | None = None
     """(m,) the free joints of what can move, in the order of the objects; None where they are in it already."""
     start: Array | None = None

@@ -34,7 +34,7 @@ def soft_release(objects: Sequence[SceneObject], far: float) -> Mapping[int, Arr
 
     Masses and friction are those of the release protocol. Whether one travels is seen without damping. What falls would
     spin, so places are those of a run with the damping of ``settle``."""
-    model = compiled(_softened(release_spec(objects)))
+    model = compiled(_softened(release_spec(objects, centred=True)))
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     if not _travels(model, far):
         return {}
