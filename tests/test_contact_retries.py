@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,13 +50,18 @@ def retries() -> ContactRetries:
 
 @pytest.fixture
 def resting() -> Scene:
-    """A box at rest in a picture of 640 x 480 pixels."""
-    scene = scene_of(box(0, at=(0, 0, 0.05 + 2.6e-4)))
+    """A box at rest."""
+    return photographed(scene_of(box(0, at=(0, 0, 0.05 + 2.6e-4))))
+
+
+def photographed(scene: Scene, shift: tuple[float, float, float] = (0, 0, 0)) -> Scene:
+    """A scene with a picture of 640 x 480 pixels of where it is after a shift [m]."""
     was, rgb = scene.camera, np.tile(scene.photo.rgb, (10, 10, 1))
     camera = replace(was, width=10 * was.width, height=10 * was.height, K=was.K * [[10], [10], [1]])
-    ids = rasterizer.render(scene.objects, camera).ids
-    o = replace(scene[0], mask=ids == 0)
-    return replace(scene, photo=replace(scene.photo, rgb=rgb), camera=camera, objects=(o,))
+    seen = [o.moved(pose(t=np.array(shift)), stage="test", reason="") for o in scene]
+    ids = rasterizer.render(seen, camera).ids
+    objects = tuple(replace(o, mask=ids == o.id) for o in scene)
+    return replace(scene, photo=replace(scene.photo, rgb=rgb), camera=camera, objects=objects)
 
 
 def test_what_lost_in_balance_is_put_back_and_not_closed(
@@ -111,3 +117,21 @@ def test_what_leans_in_the_photo_gets_the_friction_that_holds_it_unless_somebody
     raised = source == "label"
     assert [o.friction for o in after.scene] == [0.6 if raised else 0.5] * 2
     assert all(("would slide" in o.material_reason) == raised for o in after.scene)
+
+
+def test_what_is_in_balance_is_sought_from_where_it_rests_once_it_is_aligned_again(
+    planks: Scene, retries: ContactRetries, monkeypatch: pytest.MonkeyPatch
+):
+    """The photo shows both planks 6 mm beside where they rest."""
+    before = photographed(retries.balanced(planks, start=planks, moving=frozenset({0, 1})).scene, (0.006, 0, 0))
+    starts, sought = list[Scene | None](), contact_retries.balance
+
+    def balance(*args: Any, start: Scene | None, **others: Any) -> Scene:
+        starts.append(start)
+        return sought(*args, start=start, **others)
+
+    monkeypatch.setattr(contact_retries, "balance", balance)
+    after = retries.realigned(before, [0, 1], balanced=frozenset({0, 1}))
+    assert starts == [before]
+    was = SettledScene(scene=before, restless=frozenset())
+    assert not after.restless and after.seen > was.seen + 0.01

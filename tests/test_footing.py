@@ -461,6 +461,17 @@ def test_the_outline_of_an_underside_is_that_of_all_its_cells(angle: float):
     assert flat.outline.depth(body.center) == pytest.approx(whole.depth(body.center), rel=1e-9)
 
 
+def test_what_decides_whether_a_body_stands_is_found_once_for_each_place_and_centre():
+    o = slanted(0.1)
+    body = StandingBody.of(o)
+    assert body and body is StandingBody.of(o) and body is StandingBody.of(o, body.center)
+    flat = FlatUnderside.of(o, body, GROUND_PLANE, CONFIG)
+    assert flat and flat is FlatUnderside.of(o, body, GROUND_PLANE, CONFIG)
+    other = StandingBody.of(o, body.center + np.array([0, 0, 0.01]))
+    assert other and other is not body and FlatUnderside.of(o, other, GROUND_PLANE, CONFIG) is not flat
+    assert StandingBody.of(o.moved(pose(t=[0, 0, 0.01]), stage="test", reason="")) is not body
+
+
 def test_stable_facets_that_face_a_direction_are_those_of_all_that_do():
     hull = ConvexPart.hull_of(np.random.default_rng(3).normal(size=(200, 3)))
     center, facing = hull.vertices.mean(0), np.array([0.6, 0.0, -0.8])

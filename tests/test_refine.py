@@ -12,6 +12,7 @@ import pytest
 
 from f3sr.contact_retries import Retry
 from f3sr.core.transforms import pose, rotation_about
+from f3sr.metrics import contact_groups
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
@@ -283,6 +284,22 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
     scene, outcome = retried(seen, RefineConfig(), aligned=seen, parted=seen, realigned=again)
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
+
+
+def test_what_gained_much_is_tried_again_and_what_gained_little_is_not(seen: Scene, monkeypatch: pytest.MonkeyPatch):
+    start, calls = shifted(seen, {0: 0.03, 1: 0.03}), list[list[int]]()
+    off = {0: 0.02, 1: 0.008}
+
+    def ious(scene: Scene) -> dict[int, float]:
+        return {o.id: 0.9 - off[o.id] * (o.T_world_object is start[o.id].T_world_object) for o in scene}
+
+    def again(scene: Scene, ids: Collection[int], **_others: object) -> SettledScene:
+        calls.append(list(ids))
+        return SettledScene(scene=scene.with_objects(*(seen[id] for id in ids)), restless=frozenset())
+
+    monkeypatch.setattr(contact_groups, "visible_ious", ious)
+    retried(start, RefineConfig(), aligned=seen, parted=start, realigned=again)
+    assert calls == [[0, 1], [0]]
 
 
 @pytest.mark.parametrize("source", ["sensor", "estimate"])

@@ -50,14 +50,14 @@ class ContactRetries:
     def realigned(self, before: Scene, ids: Collection[int], *, balanced: frozenset[int]) -> SettledScene:
         """Align objects under contact; groups move that gain by it.
 
-        They are separated, but for what is ``balanced``: with such objects all go to the nearest equilibrium. Gaps
-        are not closed there: it won nothing and took most of the time."""
+        They are separated, but for what is ``balanced``: with such objects all go to the nearest equilibrium, sought
+        from where they rest. Gaps are not closed there: it won nothing and took most of the time."""
         aligned, _ = align(before, self.config.align.under_contact(), only=ids)
         retry = Retry.of(before, aligned, ids, self._contact)
         if not retry.moving:
             return SettledScene(scene=before, restless=frozenset())
         if retry.moving & balanced:
-            rested = self._nearest_balance(retry.scene, self._costs(retry.scene))
+            rested = self._nearest_balance(retry.scene, self._costs(retry.scene), start=before)
             return self._ended(retry, rested, won_back=WON_BACK_BALANCED, closes=False)
         return self._ended(retry, self._separated(retry.scene))
 

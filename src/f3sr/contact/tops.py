@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.contact.undersides import Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, area_vectors
@@ -22,8 +24,28 @@ def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
     boxes = boxes_of([p.vertices[:, :2] for p in parts]) if parts else np.empty((0, 2, 2))
     is_near = ((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(1)
     near = [parts[k] for k in np.flatnonzero(is_near).tolist()]
-    found = [points for p in near for points in (_clipped_edges(p, region), _at_corners(p, region.corners))]
-    return np.concatenate(found) if found else np.zeros((0, 3))
+    if not near:
+        return np.zeros((0, 3))
+    joined = _Joined.of(near)
+    return np.concatenate([_clipped_edges(joined, region), _at_corners(joined, region.corners)])
+
+
+class _Joined(NamedTuple):
+    """Convex parts, one after the other."""
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    """(k,): the first face of every part."""
+
+    @classmethod
+    def of(cls, parts: Sequence[ConvexPart]) -> Self:
+        first = np.cumsum([0, *(len(p.vertices) for p in parts)])
+        return cls(
+            vertices=np.concatenate([p.vertices for p in parts]),
+            faces=np.concatenate([p.faces + k for p, k in zip(parts, first[:-1], strict=True)]),
+            begins=np.cumsum([0, *(len(p.faces) for p in parts[:-1])]),
+        )
 
 
 def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane | None:
@@ -51,11 +73,11 @@ def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane |
     return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))
 
 
-def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
-    """Ends (n, 3) of the edges of a part inside the region (Liang and Barsky 1984)."""
-    start, end = np.concatenate([part.faces, np.roll(part.faces, -1, axis=1)]).reshape(2, -1)
+def _clipped_edges(parts: _Joined, region: Outline) -> Array:
+    """Ends (n, 3) of the edges of parts inside the region (Liang and Barsky 1984)."""
+    start, end = np.concatenate([parts.faces, np.roll(parts.faces, -1, axis=1)]).reshape(2, -1)
     start, end = start[start < end], end[start < end]
-    beyond = part.vertices[:, :2] @ region.normals.T - region.offsets
+    beyond = parts.vertices[:, :2] @ region.normals.T - region.offsets
     a, b = beyond[start], beyond[end]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = a / (a - b)
@@ -63,21 +85,23 @@ def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
     leaves = np.where(b > a, crossing, np.inf).min(1)
     first, last = np.maximum(enters, 0.0), np.minimum(leaves, 1.0)
     met = first <= last
-    p, q = part.vertices[start[met]], part.vertices[end[met]]
+    p, q = parts.vertices[start[met]], parts.vertices[end[met]]
     return np.concatenate([p + share[met, None] * (q - p) for share in (first, last)])
 
 
-def _at_corners(part: ConvexPart, corners: Array) -> Array:
-    """The upper side of a part over points (k, 2): points (n, 3), none where the part is not."""
-    triangles = part.vertices[part.faces]
+def _at_corners(parts: _Joined, corners: Array) -> Array:
+    """The upper sides of parts over points (k, 2): points (n, 3), none where a part is not."""
+    triangles = parts.vertices[parts.faces]
     normals = area_vectors(triangles)
-    lengths = np.linalg.norm(normals, axis=1)
-    real = lengths > 0
-    normals, a = normals[real] / lengths[real, None], triangles[real, 0]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     # (k, m): how far each corner may rise below each face, times the face's vertical share.
-    room = np.einsum("mi,mi->m", normals, a) - corners @ normals[:, :2].T
+    room = np.einsum("mi,mi->m", normals, triangles[:, 0]) - corners @ normals[:, :2].T
     up, down = normals[:, 2] > STEEP, normals[:, 2] < -STEEP
-    top = (room[:, up] / normals[up, 2]).min(1)
-    bottom = (room[:, down] / normals[down, 2]).max(1)
-    is_over = (room[:, ~up & ~down] >= 0).all(1) & (top >= bottom)
-    return np.column_stack([corners, top])[is_over]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rise = room / normals[:, 2]
+    # Of every part (k, parts): the least of its upper faces, the most of its lower ones, and whether it is beside none.
+    top = np.minimum.reduceat(np.where(up, rise, np.inf), parts.begins, axis=1)
+    bottom = np.maximum.reduceat(np.where(down, rise, -np.inf), parts.begins, axis=1)
+    beside = np.minimum.reduceat(np.where(up | down, 0.0, room), parts.begins, axis=1)
+    corner, part = np.nonzero((beside >= 0) & (top >= bottom))
+    return np.column_stack([corners[corner], top[corner, part]])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,16 +81,32 @@ class StandingBody:
     hull: ConvexPart
     center: Array
     size: float
+    flats: dict[tuple[bytes, FootingConfig], FlatUnderside | None] = field(default_factory=dict)
+    """Undersides by the normals of their facets: most planes below lead to the same one."""
 
     @classmethod
-    def of(cls, o: SceneObject, center: Array | None = None) -> Self | None:
+    def of(cls, o: SceneObject, center: Array | None = None) -> StandingBody | None:
         """None for a sheet, whose mesh has no hull. By default it carries nothing."""
-        try:
-            hull = o.mesh.hull.moved(o.T_world_asset)
-        except ValueError:
-            return None
-        own = transform(o.T_world_object, body_of(o).center[None])[0]
-        return cls(hull=hull, center=own if center is None else center, size=o.size)
+        whole = transform(o.T_world_object, body_of(o).center[None])[0] if center is None else center
+        known = _STANDING.get(o)
+        if known is None or not np.array_equal(known.center, whole):
+            try:
+                hull = o.mesh.hull.moved(o.T_world_asset)
+            except ValueError:
+                return None
+            _STANDING[o] = known = cls(hull=hull, center=whole, size=o.size)
+        return known
+
+    @cached_property
+    def stable_normals(self) -> Array:
+        """Outward unit normals (k, 3) of the facets on which it would rest."""
+        return stable_normals(self.hull, self.center)
+
+    @cached_property
+    def faces_down(self) -> Array:
+        """Inward normals (m, 3) of the hull's triangles, twice as long as their areas: those that face down point
+        up."""
+        return -area_vectors(self.hull.vertices[self.hull.faces])
 
     @cached_property
     def outline(self) -> Outline | None:
@@ -153,13 +170,22 @@ class FlatUnderside:
     """To which connected patch each corner belongs (4 n,), from 1."""
 
     @classmethod
-    def of(cls, o: SceneObject, body: StandingBody, plane: SupportPlane, config: FootingConfig) -> Self | None:
+    def of(cls, o: SceneObject, body: StandingBody, plane: SupportPlane, config: FootingConfig) -> FlatUnderside | None:
         """The underside of ``o``; None where no stable facet is near, and where nothing is near the facet."""
-        from scipy.ndimage import label
-
         facet = _facet_below(body, plane, config)
         if facet is None:
             return None
+        key = facet.normal.tobytes(), config
+        if key not in body.flats:
+            body.flats[key] = cls._on(o, body, facet, config)
+        return body.flats[key]
+
+    @classmethod
+    def _on(
+        cls, o: SceneObject, body: StandingBody, facet: SupportPlane, config: FootingConfig
+    ) -> FlatUnderside | None:
+        from scipy.ndimage import label
+
         low, high = o.bounds_world
         grid = height_map.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
         z = height_map.lower(o.vertices_world, o.mesh.faces, grid)
@@ -206,19 +232,21 @@ def _facet_below(body: StandingBody, plane: SupportPlane, config: FootingConfig)
 
     Where that is far, as for a tall body with a bulging underside, it is the mean of all facets that face down. None
     where none does."""
-    near, hull = np.cos(config.max_turn), body.hull
-    stable = -stable_normals(hull, body.center, facing=-plane.normal, within=config.max_turn)
-    if len(stable):
-        normal = stable[int(np.argmax(stable @ plane.normal))]
+    near, stable = np.cos(config.max_turn), -body.stable_normals
+    along = stable @ plane.normal
+    if len(stable) and along.max() >= near:
+        normal = stable[int(np.argmax(along))]
     else:
-        # Inward normals: those of facets that face down point up.
-        areas = -area_vectors(hull.vertices[hull.faces])
+        areas = body.faces_down
         lengths = np.linalg.norm(areas, axis=1)
         normal = areas[areas @ plane.normal >= near * lengths].sum(0)
         if not normal.any():
             return None
         normal /= np.linalg.norm(normal)
-    return SupportPlane(normal=normal, offset=float((hull.vertices @ normal).min()))
+    return SupportPlane(normal=normal, offset=float((body.hull.vertices @ normal).min()))
+
+
+_STANDING: WeakKeyDictionary[SceneObject, StandingBody] = WeakKeyDictionary()
 
 
 def outermost(points: Array) -> Array:

@@ -46,8 +46,6 @@ into an organizer costs its group .04, fruit that slides off its heap .09, a lem
 .23."""
 SOFT_TRAVEL = 8e-3
 """Travel on soft contacts [m] from which on an object falls or slides: what stays creeps by up to 6 mm in 20 scenes."""
-SOFT_ROUNDS = 3
-"""Most releases on soft contacts; one has sufficed."""
 
 
 class Rebalanced(Protocol):
@@ -256,23 +254,18 @@ class _Coarsening:
         """Let groups in which an object falls on soft contacts rest where that ends, if it ends.
 
         Objects that creep or sink by millimetres may come to rest far from there. Then the photo speaks against it."""
-        scene, moved, restless = self.scene, set[int](), frozenset[int]()
-        fallen = falling = self._falling(scene)
-        for _ in range(SOFT_ROUNDS):
-            if not falling or restless:
-                break
-            moved |= falling.keys()
-            rested = self._settled(scene.with_objects(*falling.values()))
-            scene, restless = rested.scene, rested.restless - self._restless
-            falling = self._falling(scene)
-        if not moved:
+        fallen = self._falling(self.scene)
+        if not fallen:
             return
-        restless |= falling.keys()
+        rested = self._settled(self.scene.with_objects(*fallen.values()))
+        scene, restless = rested.scene, rested.restless - self._restless
+        if fallen.keys() - restless:
+            restless |= self._falling(scene).keys()
         was, there = visible_ious(self.scene), visible_ious(self.scene.with_objects(*fallen.values()))
-        for ids, effect in self._effects(scene, frozenset(moved), restless).items():
+        for ids, effect in self._effects(scene, frozenset(fallen), restless).items():
             most = min(LOSS_TO_WITHSTAND, LOSS - mean_gain(ids, was, there))
             stays = bool(effect.restless) or effect.loss > most
-            for id in sorted(ids & moved):
+            for id in sorted(ids & fallen.keys()):
                 travel = f"{1000 * _travel(self.scene[id], scene[id]):.0f} mm"
                 self._told.append(_on_soft_contacts(id, travel, effect, stays=stays))
             if not stays:

@@ -81,7 +81,7 @@ def on_own_footings(scene: Scene, ids: Collection[int], *, overlapping: bool, co
     layout = Placement(_without_footings(scene, ids))
     for o in _standing(layout):
         if o.id in ids and _fit_a_footing(layout, o, config, below=0.0) and not overlapping:
-            _end_over_carriers(layout, layout.object(o.id), config)
+            _end_over_carriers(layout, o, config)
     return layout.moved_scene()
 
 
