@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from f3sr.scene_package.package import Package
 from goal_scene import goal_package
 
 GOAL = "push the can 10 cm to the left"
+_session = cache(f3sr.EditSession)
 FOLDERS: dict[str, Callable[[Any], object]] = {
     "load": f3sr.load,
     "read_package": f3sr.read_package,
@@ -24,6 +26,10 @@ FOLDERS: dict[str, Callable[[Any], object]] = {
 KINDS: dict[str, tuple[str, Callable[[Package, Path, Any], object]]] = {
     "simulate_goal": ("goal", lambda c, out, x: f3sr.simulate_goal(c, x)),
     "simulate_goal of no package": ("package", lambda c, out, x: f3sr.simulate_goal(x, GOAL)),
+    "simulate_goal by words": (
+        "language",
+        lambda c, out, x: f3sr.simulate_goal(c, GOAL, language=x or 0),
+    ),
     "replay_plan": ("plan", lambda c, out, x: f3sr.replay_plan(c, x)),
     "success_rate": ("plan", lambda c, out, x: f3sr.success_rate(x, [c.scene])),
     "export_package": ("package", lambda c, out, x: f3sr.export_package(x, out, ["glb"])),
@@ -41,6 +47,7 @@ KINDS: dict[str, tuple[str, Callable[[Package, Path, Any], object]]] = {
     "write_package to nowhere": ("out", lambda c, out, x: f3sr.write_package(c.scene, x)),
     "write_played": ("played", lambda c, out, x: f3sr.write_played(x, out)),
     "write_edited": ("session", lambda c, out, x: f3sr.write_edited(x, out)),
+    "EditSession.add": ("edit", lambda c, out, x: _session(c).add(x)),
     "read_edits": ("file", lambda c, out, x: f3sr.read_edits(x)),
     "find": ("segmentation back end", lambda c, out, x: f3sr.SEGMENTERS.find(x)),
     **{name: ("folder", lambda c, out, x, call=call: call(x)) for name, call in FOLDERS.items()},

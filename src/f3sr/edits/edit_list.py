@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
@@ -144,6 +144,8 @@ Edit = Annotated[
     MoveEdit | TurnEdit | ScaleEdit | SupportEdit | MaterialEdit | LabelEdit | DeleteEdit | FixEdit | ReleaseEdit,
     Field(discriminator="kind"),
 ]
+EDITS: tuple[type, ...] = get_args(get_args(Edit)[0])
+"""The classes of edits."""
 KINDS = ("move", "turn", "scale", "support", "material", "label", "delete", "fix", "release")
 _EDIT: TypeAdapter[Edit] = TypeAdapter(Edit)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from f3sr.edits.applying import Applied, apply_edit, refused
-from f3sr.edits.edit_list import MAX_EDITS, Edit
+from f3sr.edits.edit_list import EDITS, KINDS, MAX_EDITS, Edit
 from f3sr.edits.landing import Effort, editing
 from f3sr.edits.unedited import Unedited, read_edited
 from f3sr.errors import InputError, OutputError, require_kind, require_path
@@ -122,8 +122,9 @@ class EditSession:
     def add(self, edit: Edit, *, progress: Progress = silent) -> EditOutcome:
         """Apply an edit to the scene of now, and measure it. What was undone before is forgotten.
 
-        Raises InputError where the list is full. An edit that does not fit stays in the list and changes nothing: its
-        outcome's decision says why."""
+        Raises InputError for what is no edit and where the list is full. An edit that does not fit stays in the list
+        and changes nothing: its outcome's decision says why."""
+        require_kind("edit", edit, *EDITS, accepted=f"an edit as f3sr.read_edits gives: {', '.join(KINDS)}")
         if len(self._outcomes) > MAX_EDITS:
             raise InputError("edits", found=f"{MAX_EDITS + 1} edits", accepted=f"at most {MAX_EDITS}")
         number = len(self._outcomes)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from f3sr.goals.plan import InitialConditions, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.refusal import Refusal
@@ -43,6 +43,7 @@ class Planned:
     """Whether no other phase follows."""
 
 
+@runtime_checkable
 class Language(Protocol):
     """Words to tasks, tasks to physical properties, tasks to launches; implement it to add a language model."""
 

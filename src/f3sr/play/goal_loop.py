@@ -57,7 +57,9 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
     """
     _require_package(package)
     require_kind("goal", goal, str, accepted="words, as `f3sr goals PACKAGE` lists them")
-    language, scene = language or Rules(), replace(package.scene, ground_mask=package.support())
+    language = Rules() if language is None else language
+    require_kind("language", language, Language, accepted="an object with the methods plan, reason and build")
+    scene = replace(package.scene, ground_mask=package.support())
     found, ends, rollouts = list[Tried](), list[Scene](), 0
     phases = list[Phase]()
     while True:
