@@ -26,10 +26,7 @@ FOLDERS: dict[str, Callable[[Any], object]] = {
 KINDS: dict[str, tuple[str, Callable[[Package, Path, Any], object]]] = {
     "simulate_goal": ("goal", lambda c, out, x: f3sr.simulate_goal(c, x)),
     "simulate_goal of no package": ("package", lambda c, out, x: f3sr.simulate_goal(x, GOAL)),
-    "simulate_goal by words": (
-        "language",
-        lambda c, out, x: f3sr.simulate_goal(c, GOAL, language=x or 0),
-    ),
+    "simulate_goal by words": ("language", lambda c, out, x: f3sr.simulate_goal(c, GOAL, language=x or 0)),
     "replay_plan": ("plan", lambda c, out, x: f3sr.replay_plan(c, x)),
     "success_rate": ("plan", lambda c, out, x: f3sr.success_rate(x, [c.scene])),
     "export_package": ("package", lambda c, out, x: f3sr.export_package(x, out, ["glb"])),

@@ -472,9 +472,15 @@ def test_what_decides_whether_a_body_stands_is_found_once_for_each_place_and_cen
     assert StandingBody.of(o.moved(pose(t=[0, 0, 0.01]), stage="test", reason="")) is not body
 
 
-def test_stable_facets_that_face_a_direction_are_those_of_all_that_do():
-    hull = ConvexPart.hull_of(np.random.default_rng(3).normal(size=(200, 3)))
-    center, facing = hull.vertices.mean(0), np.array([0.6, 0.0, -0.8])
-    every, some = stable_normals(hull, center), stable_normals(hull, center, facing=facing, within=0.9)
-    np.testing.assert_array_equal(some, every[every @ facing >= np.cos(0.9)])
-    assert 0 < len(some) < len(every)
+@pytest.mark.parametrize("towards", [0.0, 0.05, 0.1])
+def test_the_facet_below_is_the_stable_one_that_faces_the_plane_most(towards: float):
+    """The box stands on a face that is turned by .1 rad."""
+    o = slanted(0.1)
+    plane = SupportPlane(normal=rotation_about([0, 1, 0], towards) @ np.array([0, 0, 1.0]), offset=0.0)
+    body = StandingBody.of(o)
+    assert body
+    flat = FlatUnderside.of(o, body, plane, CONFIG)
+    every = -stable_normals(body.hull, body.center)
+    some = every[every @ plane.normal >= np.cos(CONFIG.max_turn)]
+    assert flat and 0 < len(some) < len(every)
+    np.testing.assert_array_equal(flat.facet.normal, some[np.argmax(some @ plane.normal)])

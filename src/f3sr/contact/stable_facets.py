@@ -8,18 +8,15 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, cross, rotation_between
 
 
-def stable_normals(hull: ConvexPart, center: Array, *, facing: Array | None = None, within: float = np.pi) -> Array:
+def stable_normals(hull: ConvexPart, center: Array) -> Array:
     """Outward unit normals (k, 3) of the hull's triangles that the centre of mass (3,) projects into.
 
-    A body standing on such a triangle does not tip over: its centre is above its support polygon. ``facing`` (3,): only
-    of triangles whose normal is ``within`` [rad] of this direction.
+    A body standing on such a triangle does not tip over: its centre is above its support polygon.
     """
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normals = cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     real = lengths > 1e-12 * lengths.max()
-    if facing is not None:
-        real &= normals @ facing >= np.cos(within) * lengths
     a, b, c, normals = a[real], b[real], c[real], normals[real] / lengths[real, None]
     inside = np.ones(len(a), bool)
     for p, q in ((a, b), (b, c), (c, a)):

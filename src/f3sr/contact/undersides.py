@@ -155,6 +155,9 @@ class StandingBody:
         return stood
 
 
+_STANDING: WeakKeyDictionary[SceneObject, StandingBody] = WeakKeyDictionary()
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlatUnderside:
     """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
@@ -244,9 +247,6 @@ def _facet_below(body: StandingBody, plane: SupportPlane, config: FootingConfig)
             return None
         normal /= np.linalg.norm(normal)
     return SupportPlane(normal=normal, offset=float((body.hull.vertices @ normal).min()))
-
-
-_STANDING: WeakKeyDictionary[SceneObject, StandingBody] = WeakKeyDictionary()
 
 
 def outermost(points: Array) -> Array:
