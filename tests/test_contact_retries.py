@@ -135,3 +135,18 @@ def test_what_is_in_balance_is_sought_from_where_it_rests_once_it_is_aligned_aga
     assert starts == [before]
     was = SettledScene(scene=before, restless=frozenset())
     assert not after.restless and after.seen > was.seen + 0.01
+
+
+def test_of_a_stack_on_something_unseen_the_lowest_is_held_and_carries_the_others(retries: ContactRetries):
+    """Two boxes that hang by .2 m where the photo shows them; at first they lie on the ground."""
+    up = photographed(scene_of(box(0, at=(0, 0, 0.25)), box(1, at=(0.01, 0, 0.35 + 2.6e-4))))
+    down = up.with_objects(*(replace(o, T_world_object=pose(t=[0.2 * o.id, 0, 0.05 + 2.6e-4])) for o in up))
+    after = retries.held(down, start=up, moving=frozenset({0, 1}))
+    assert not after.restless and min(after.ious.values()) > 0.98
+    assert [o.mobility for o in after.scene] == ["fixed", "dynamic"]
+    assert [o.carriers for o in after.scene] == [[], [0]]
+
+
+def test_nothing_is_held_that_contact_can_carry(planks: Scene, retries: ContactRetries):
+    after = retries.held(planks, start=planks, moving=frozenset({0, 1}))
+    assert [o.mobility for o in after.scene] == ["dynamic"] * 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -60,6 +61,22 @@ def test_what_hangs_comes_down_and_what_is_sunk_comes_up():
 def test_what_hangs_too_high_stays():
     after, found = balanced([body(0, block(at=(0, 0, 1)))], {0: EVEN})
     assert middle(after[0]) == pytest.approx([0, 0, 1], abs=0.06) and found.work > 0.02
+
+
+def test_of_a_stack_that_hangs_too_high_something_else_has_to_carry_the_lowest():
+    stack = [body(id, block(at=(0, 0, 1 + (0.1 + GAP) * k))) for k, id in enumerate((4, 2, 7))]
+    precisions = dict.fromkeys((4, 2, 7), EVEN)
+    assert nearest_equilibrium(stack, precisions).unheld == 4
+    found = nearest_equilibrium([replace(stack[0], fixed=True), *stack[1:]], precisions)
+    assert found.unheld is None and found.work < 1e-5
+    assert all(np.abs(moved(b, found).parts.bounds - b.parts.bounds).max() < 1e-3 for b in stack)
+
+
+def test_what_something_else_carries_still_leaves_what_it_overlaps():
+    held, other = body(0, block(at=(0.094, 0, 0.3))), body(1, block(at=(0, 0, 0.3)))
+    after, found = balanced([replace(held, fixed=True), other], {0: EVEN})
+    assert found.unheld is None
+    assert after[0].parts.bounds[0, 0] >= 0.05 + GAP - 2e-5 and middle(after[0])[2] == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_box_that_is_tilted_by_an_error_lies_down_flat():

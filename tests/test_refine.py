@@ -54,7 +54,7 @@ def retried(
     **retries: Callable[..., SettledScene],
 ) -> tuple[Scene, Refined]:
     """``refine`` with some retries; the others are in vain."""
-    methods = dict.fromkeys(("stood_up", "balanced", "replaced", "realigned"), in_vain)
+    methods = dict.fromkeys(("stood_up", "balanced", "replaced", "realigned", "held"), in_vain)
     given = cast(Retries, SimpleNamespace(**methods | retries))
     return refine(start, config, aligned=aligned, parted=parted, retries=given, restless=restless)
 
@@ -496,3 +496,39 @@ def test_what_overlaps_is_not_kept_unless_it_did_before(touching: Scene, before:
     after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, balanced=balanced)
     assert (after[0] is seen[0]) == before
     assert outcome.decisions[0].reason.endswith("and object 0, 1 overlaps another") != before
+
+
+@pytest.mark.parametrize(
+    ("count", "gain", "is_kept"), [(1, 0.2, True), (2, 0.2, True), (2, 2.0, False), (0, 0.2, False)]
+)
+def test_where_contact_leaves_a_group_far_off_its_masks_what_must_hang_is_held_and_told(
+    seen: Scene, count: int, gain: float, is_kept: bool
+):
+    """Both boxes have slid out of their masks; ``count`` of them are held there."""
+    start = shifted(seen, {0: 0.1, 1: -0.1})
+    asked = list[frozenset[int]]()
+
+    def held(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        asked.append(moving)
+        assert all(np.array_equal(start[id].T_world_object, seen[id].T_world_object) for id in moving)
+        objects = (start[id].on_something_unseen() if id < count else start[id] for id in (0, 1))
+        return SettledScene(scene=before.with_objects(*objects), restless=frozenset())
+
+    config = RefineConfig(rounds=0, unseen_gain=gain)
+    after, outcome = retried(start, config, aligned=seen, parted=start, held=held)
+    assert asked == ([frozenset({0, 1})] if gain < 1 else [])
+    assert [o.mobility for o in after] == [("fixed" if is_kept and id < count else "dynamic") for id in (0, 1)]
+    told = [d for d in outcome.decisions if d.fallback]
+    assert [d.about for d in told] == (list(range(count)) if is_kept else [])
+    assert all("something unseen" in d.choice and "->" in d.reason for d in told)
+
+
+def test_what_is_held_must_rest_and_overlap_nothing(seen: Scene):
+    start = shifted(seen, {0: 0.1})
+
+    def held(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        tried = before.with_objects(*(start[id].on_something_unseen() for id in moving))
+        return SettledScene(scene=tried, restless=frozenset({0}))
+
+    after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held)
+    assert after[0].mobility == "dynamic" and not any(d.fallback for d in outcome.decisions)

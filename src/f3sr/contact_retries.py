@@ -93,6 +93,12 @@ class ContactRetries:
             best = best.or_better(again, self._contact.apart)
         return best
 
+    def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        """Move objects to their nearest equilibrium, where something unseen carries as few of them as need be."""
+        retry = Retry.of_moving(before, start, moving)
+        rested = self._nearest_balance(retry.scene, self._costs(retry.scene), holds=True)
+        return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
+
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
 
@@ -153,13 +159,16 @@ class ContactRetries:
         finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
+        holds: bool = False,
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
 
         The second kind is not asked where all groups rest on the first and show what they show in balance."""
         footed = partial(on_own_footings, config=self.config.separate)
         guessed = [o.id for o in scene if rougher and o.mobility != "fixed" and _is_guessed(o)]
-        placed = balance(scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed)
+        placed = balance(
+            scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed, holds=holds
+        )
         rested, shown = self._at_rest(finished(placed)), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)
         if not rested.restless and all(mean_gain(g, shown, rested.scores) > -GAIN for g in groups):

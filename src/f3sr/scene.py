@@ -256,6 +256,10 @@ class SceneObject:
         """Lowest and highest corners (k, 2, 3) of the world boxes of its colliders [m]; its own where it has none."""
         return boxes_of([p.vertices for p in self.colliders_world] or [self.vertices_world])
 
+    def on_something_unseen(self) -> Self:
+        """Held still, as no other object carries it."""
+        return replace(self, supported_by=None, supports=(), mobility="fixed")
+
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""
         from f3sr.core.transforms import rotation_angle

@@ -45,7 +45,7 @@ TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi 
 UNBALANCED = 0.03
 """Virtual work per unbalanced weight, as a gap [m]: wider ones are not closed."""
 UNHELD = 0.01
-"""Unbalanced weight from which on contacts below a body are sought farther away."""
+"""Unbalanced weight from which on contacts below a body are sought farther away, and something else may carry it."""
 NEEDLESS = 1e-7
 """Virtual work per force, as a gap [m], so that no contact pushes without need."""
 STEP = 0.03
@@ -116,6 +116,9 @@ class Equilibrium:
     """Virtual work that is left [mean weights times metres]: 0 where all weights are balanced."""
     friction: Mapping[int, float]
     """Larger coefficients of bodies that would slide with theirs, by id."""
+    unheld: int | None
+    """Where weights are left unbalanced, with more friction too, the body that leaves least of them once something else
+    carries it."""
 
 
 def nearest_equilibrium(
@@ -140,7 +143,7 @@ def nearest_equilibrium(
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
-    body's box.
+    body's box. What is ``fixed`` and has a precision moves too, but something else than contact carries it.
     """
     search = _EquilibriumSearch(bodies, precisions, clearance, ground_friction, footings)
     if start:
@@ -168,12 +171,14 @@ def nearest_equilibrium(
             best = left, work, here
     else:
         _, work, search = best
+    friction = search.friction_needed(guessed)
     return Equilibrium(
         moves=search.moves,
         footed_at=search.footed_at,
         cost=search.cost,
         work=work,
-        friction=search.friction_needed(guessed),
+        friction=friction,
+        unheld=search.unheld() if work >= UNHELD * UNBALANCED and not friction else None,
     )
 
 
@@ -188,7 +193,9 @@ class _EquilibriumSearch:
         ground_friction: float,
         footings: Footings | None,
     ) -> None:
-        self.bodies = {b.id: replace(b, fixed=b.fixed or b.id not in precisions) for b in bodies}
+        self.bodies = {b.id: replace(b, fixed=b.id not in precisions) for b in bodies}
+        self.held = frozenset(b.id for b in bodies if b.fixed and b.id in precisions)
+        """What something else carries."""
         self.ids = [id for id, b in self.bodies.items() if not b.fixed]
         self.places = {id: slice(PARAMETERS * k, PARAMETERS * (k + 1)) for k, id in enumerate(self.ids)}
         self.clearance, self.ground_friction = clearance, min(ground_friction, HOLDS)
@@ -286,6 +293,12 @@ class _EquilibriumSearch:
         helps = work >= BALANCED and self._forces(near, TILTS, dict.fromkeys(low, TRIED))[1] < BALANCED
         return dict.fromkeys(low, HOLDS) if helps else {}
 
+    def unheld(self) -> int | None:
+        """The body that leaves least virtual work once something else carries it; None where all are carried."""
+        free = [id for id in self.ids if id not in self.held]
+        _, near, _ = self._near()
+        return min(free, key=lambda id: self._forces(near, TILTS, held={id})[1], default=None)
+
     def _near(self) -> tuple[NearContacts, NearContacts, NDArray[np.int64]]:
         """Contacts of bodies, the same with those of footings, and by which of the first each gap closes."""
         parts = {id: b.parts for id, b in self.bodies.items()}
@@ -318,11 +331,16 @@ class _EquilibriumSearch:
         return min(STEP * self.bodies[id].size / max(shift, tiny), TURN_STEP / max(turn, tiny))
 
     def _forces(
-        self, near: NearContacts, tilts: Array, friction: Mapping[int, float] | None = None
+        self,
+        near: NearContacts,
+        tilts: Array,
+        friction: Mapping[int, float] | None = None,
+        held: Collection[int] = (),
     ) -> tuple[Array, float]:
         """Normal forces (k,) of least virtual work [mean weights], and that work: means over tilts and centres.
 
-        ``friction``, by id, instead of that of the bodies, of which ``HOLDS`` counts at most."""
+        ``friction``, by id, instead of that of the bodies, of which ``HOLDS`` counts at most. ``held`` ones need no
+        force either."""
         from scipy.sparse import eye_array, hstack
 
         rough = {id: min(b.friction, HOLDS) for id, b in self.bodies.items()} | dict(friction or {})
@@ -331,7 +349,9 @@ class _EquilibriumSearch:
         balance = Balance(group, bodies, near.contacts, self.ground_friction, edges=CONE_EDGES)
         rows, mean = 6 * len(group), float(balance.masses.mean())
         way = np.maximum(near.gaps[balance.rows] - self.clearance, 0.0) + NEEDLESS
-        cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(UNBALANCED * np.repeat(balance.masses, 6), 2)]
+        is_free = np.array([id not in self.held and id not in held for id in self.ids])
+        unbalanced = np.repeat(UNBALANCED * is_free * balance.masses, 6)
+        cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(unbalanced, 2)]
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
         forces, left, work = np.zeros(len(near.gaps)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
@@ -346,7 +366,8 @@ class _EquilibriumSearch:
             forces[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
             left = np.maximum(left, slack.reshape(2, rows).max(0))
             work.append(found.value / mean)
-        self.hanging |= {id for id, most in zip(self.ids, left.reshape(-1, 6).max(1), strict=True) if most > UNHELD}
+        most = left.reshape(-1, 6).max(1) * is_free
+        self.hanging |= {id for id, left in zip(self.ids, most.tolist(), strict=True) if left > UNHELD}
         return forces, float(np.mean(work))
 
     def _rates(self, contacts: Contacts) -> Array:

@@ -36,6 +36,7 @@ def balance(
     apart: bool = False,
     start: Scene | None = None,
     guessed: Collection[int] = (),
+    holds: bool = False,
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
@@ -43,23 +44,27 @@ def balance(
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
     ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
-    group would slide from there.
+    group would slide from there. With ``holds`` the fewest objects without which a group is not balanced are fixed, as
+    if something unseen carried them.
     """
-    bodies = bodies_of(scene)
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
     for group in groups:
         if not 1 <= len(group) <= MOST_OBJECTS:
             continue
-        found = nearest_equilibrium(
-            bodies,
-            {id: costs[id] for id in group},
-            clearance=contact.clearance,
-            ground_friction=scene.ground.friction,
-            apart=apart,
-            start={id: _move(scene[id], start[id]) for id in group} if start else None,
-            footings=partial(_footings, scene, footed),
-            guessed=[id for id in group if id in guessed],
-        )
+        while True:
+            found = nearest_equilibrium(
+                bodies_of(scene),
+                {id: costs[id] for id in group},
+                clearance=contact.clearance,
+                ground_friction=scene.ground.friction,
+                apart=apart,
+                start={id: _move(scene[id], start[id]) for id in group} if start else None,
+                footings=partial(_footings, scene, footed),
+                guessed=[id for id in group if id in guessed],
+            )
+            if not holds or found.unheld is None:
+                break
+            scene = scene.with_objects(scene[found.unheld].on_something_unseen())
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
         moved = _moved(scene, found.moves, told)

@@ -69,6 +69,9 @@ class RefineConfig:
     """Objects with its ``apart`` between them do not affect each other."""
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     """Tells what moves cost in the search for an equilibrium."""
+    unseen_gain: Annotated[float, Interval(gt=0, le=100)] = 0.2
+    """Visible IoU that a contact group must gain, all its objects together, for every object that is held fixed as if
+    something unseen carried it. A larger one lets more collapse, a smaller one holds what has a poor mesh."""
 
 
 class Retries(Protocol):
@@ -90,6 +93,10 @@ class Retries(Protocol):
 
     def replaced(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
         """Objects separated and settled."""
+        ...
+
+    def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        """Objects at their nearest equilibrium, the fewest fixed without which there is none."""
         ...
 
 
@@ -118,8 +125,9 @@ def refine(
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
     What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. Where that gains
-    nothing, what is still off its masks after alignment is placed again from there. At last every object that is still
-    off its mask is re-aligned alone.
+    nothing, what is still off its masks after alignment is placed again from there. Then every object that is still
+    off its mask is re-aligned alone. Where all that leaves a group far off its masks, as few of its objects as need be
+    are held where the photo shows them: something that the photo does not show carries them, a fallback.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -153,6 +161,8 @@ def refine(
         state, decision, _ = _better(state, placed, lost, step, config)
         decisions += [*told, decision]
     state, told = _one_by_one(state, seen, again, config)
+    decisions += told
+    state, told = _on_something_unseen(state, seen, retries, config)
     decisions += told
     decisions += [_told_of_friction(scene[o.id], o) for o in state.scene if o.friction != scene[o.id].friction]
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
@@ -218,6 +228,46 @@ def _one_by_one(
             decisions.append(decision)
         in_vain = in_vain + 1 if state is was else 0
     return state, decisions
+
+
+def _on_something_unseen(
+    state: SettledScene, seen: SettledScene, retries: Retries, config: RefineConfig
+) -> tuple[SettledScene, list[Decision]]:
+    """Groups that are far off their masks wherever contact carries them, with some of their objects held."""
+    apart = config.contact.apart
+    groups = groups_of(seen.scene, state.scene, apart)
+    lost = [g for g in groups if _gain(g, state, seen) > config.unseen_gain]
+    if not lost:
+        return state, []
+    moving = frozenset[int]().union(*lost)
+    start = state.scene.with_objects(*(seen.scene[id] for id in sorted(moving)))
+    tried = retries.held(state.scene, start=start, moving=moving)
+    decisions, kept = list[Decision](), list[Collection[int]]()
+    for g in groups_of(state.scene, tried.scene, apart):
+        held = [id for id in sorted(g) if tried.scene[id].mobility != state.scene[id].mobility]
+        gain = _gain(g, state, tried)
+        if not held or gain < config.unseen_gain * len(held) or _is_worse(g, state, tried):
+            continue
+        kept.append(g)
+        was, now = (float(np.mean([scene.ious[id] for id in g])) for scene in (state, tried))
+        reason = (
+            f"no equilibrium without it shows what the photo shows: visible IoU of its group {was:.3f} -> {now:.3f}"
+        )
+        choice = "rests on something unseen, kept fixed where it is"
+        decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
+    return (state.with_groups(tried, kept) if kept else state), decisions
+
+
+def _gain(group: Collection[int], was: SettledScene, now: SettledScene) -> float:
+    """Visible IoU that the objects of a group gain, all together."""
+    return sum(now.ious[id] - was.ious[id] for id in group)
+
+
+def _is_worse(group: Collection[int], was: SettledScene, now: SettledScene) -> bool:
+    """Whether something of a group does not rest, or overlaps, that did not before."""
+    return bool(
+        now.restless.intersection(group) - was.restless or now.overlapping.intersection(group) - was.overlapping
+    )
 
 
 def _placed_again(
@@ -311,10 +361,7 @@ def _better(
     able = [
         g
         for g in groups_of(state.scene, tried.scene, config.contact.apart)
-        if g.intersection(ids)
-        and mean_gain(g, state.ious, tried.ious) >= -HOPELESS
-        and g & tried.restless <= state.restless
-        and g & tried.overlapping <= state.overlapping
+        if g.intersection(ids) and mean_gain(g, state.ious, tried.ious) >= -HOPELESS and not _is_worse(g, state, tried)
     ]
     gaining = [g for g in able if mean_gain(g, was, now) > GAIN]
     candidates = [(state.with_groups(tried, groups), groups) for groups in (gaining, able)] if gaining else []

@@ -111,7 +111,10 @@ def at_rest(scene: Scene, config: SettleStageConfig) -> SettledScene:
 
 
 def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float]) -> SceneObject:
-    """The object with the supports that really carry it, the strongest first; as it was when nothing does."""
+    """The object with the supports that really carry it, the strongest first; as it was where nothing does, or
+    something unseen."""
+    if o.supported_by is None and o.mobility == "fixed":
+        return o
     forces = {carrier: force for (carried, carrier), force in loads.items() if carried == o.id}
     total = sum(forces.values())
     shares = {id: force / total for id, force in forces.items() if force >= MIN_SHARE * total}

@@ -143,12 +143,12 @@ def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known:
 
 def _unseen(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], known: Known) -> str | None:
     """Why an object rests on something unseen; what is given to rest on something does not."""
-    return hangs(o, found, known) if chosen.parent == GROUND and chosen.cost >= 0 else None
+    return hangs(o, found, known) if chosen.cost >= 0 else None
 
 
 def _supported(o: SceneObject, resting: Carried, unseen: bool) -> SceneObject:
     if unseen:
-        return replace(o, supported_by=None, supports=(), mobility="fixed")
+        return o.on_something_unseen()
     return replace(o, supported_by=resting.patches[0].id, supports=resting.supports)
 
 

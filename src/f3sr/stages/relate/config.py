@@ -51,12 +51,17 @@ class RelateConfig:
     """Largest cost of a support that is needed for balance."""
     refused_cost: float = 8.0
     """Largest extra cost of a given support against the likeliest one: 3000 times less likely."""
-    unseen_scale: float = 0.25
-    """Least move to the ground of an object on something unseen [share of its distance]."""
-    unseen_height: float = 1.0
-    """Least height over the ground, with nothing else below, of an object on something unseen [size]."""
-    unseen_agreement: float = 0.1
-    """Largest difference of its depth from the photo's geometry [share of the depth]."""
+    unseen_scale: float = 0.08
+    """Least move to the ground of an object on something unseen [share of its distance]. After alignment none of 535
+    objects on the ground, of 129 scenes, is more than .042 away."""
+    unseen_sigmas: float = 8.0
+    """The same [standard deviations of its distance]."""
+    unseen_height: float = 0.25
+    """Least height over the ground of an object on something unseen [size]; poor meshes and masks lack up to .2."""
+    unseen_cost: float = 5.0
+    """Cost from which on another object is no likely support of it."""
+    unseen_agreement: float = 0.25
+    """Largest difference of its depth from the photo's geometry [share of the move to the ground]."""
     rim_depth: float = 0.25
     """Least height of the rim around an object that is inside, over the object's lowest point [its height]."""
     rim_share: float = 0.7

@@ -1,4 +1,4 @@
-"""What rests on something that nobody sees: high above the ground and all else, where the depth can be trusted."""
+"""What rests on something without a mask: above the ground and all else, where the depth can be trusted."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from f3sr.core.resampling import resample
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.supports import Candidate
+from f3sr.vision.depth_prior import sigma
 
 
 def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | None:
@@ -18,19 +19,21 @@ def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | Non
     Generated poses can be far off: only where the photo's own geometry agrees with the object's depth is it believed.
     """
     config, mine = known.config, known.surfaces[o.id]
-    if any(c.parent != GROUND for c in found):
+    if any(c.parent != GROUND and c.cost < config.unseen_cost for c in found):
         return None
     height, eye = mine.lowest, known.plan.eye
     farther = height / (eye - height) if eye > height else np.inf
-    if height <= config.unseen_height * o.size or farther <= config.unseen_scale:
+    least = max(config.unseen_scale, config.unseen_sigmas * sigma(known.scene.geometry))
+    if height <= config.unseen_height * o.size or farther <= least:
         return None
     off = depth_error(o, known)
-    if off is None or off > config.unseen_agreement:
+    if off is None or off > config.unseen_agreement * min(farther, 1.0):
         return None
     reach = "no distance" if np.isinf(farther) else f"only {100 * farther:.0f}% farther away"
     return (
-        f"{1000 * height:.0f} mm above the ground, {height / o.size:.1f} of its sizes, nothing else is below, and it "
-        f"would reach the ground at {reach}, while the photo's geometry agrees with its depth to {100 * off:.0f}%"
+        f"{1000 * height:.0f} mm above the ground, {height / o.size:.1f} of its sizes, no other object is likely to "
+        f"carry it, and it would reach the ground at {reach}, while the photo's geometry agrees with its depth to "
+        f"{100 * off:.1f}%"
     )
 
 
