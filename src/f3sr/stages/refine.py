@@ -20,7 +20,7 @@ from f3sr.core.transforms import invert_pose, rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import ON_SOMETHING_UNSEEN, Scene, SceneObject
 from f3sr.settings import settings
 from f3sr.uncertainty.config import UncertaintyConfig
 from f3sr.vision import depth_prior
@@ -36,8 +36,8 @@ RETURNS = 2
 nothing in the five of thirteen scenes that had such groups. Where the first gains nothing there is no second: in none
 of six such scenes it gained."""
 LOST = 0.03
-"""Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it; or an
-object, from which on it is re-aligned alone."""
+"""Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it, or some of
+it is held. An object is re-aligned alone from there on."""
 PATIENCE = 2
 """Objects that are re-aligned alone in vain, one after the other, until the others are left: in 18 scenes five objects
 gained by it after one in vain, and none after two."""
@@ -236,7 +236,7 @@ def _on_something_unseen(
     """Groups that are far off their masks wherever contact carries them, with some of their objects held."""
     apart = config.contact.apart
     groups = groups_of(seen.scene, state.scene, apart)
-    lost = [g for g in groups if _gain(g, state, seen) > config.unseen_gain]
+    lost = [g for g in groups if _gain(g, state, seen) > max(config.unseen_gain, LOST * len(g))]
     if not lost:
         return state, []
     moving = frozenset[int]().union(*lost)
@@ -253,9 +253,11 @@ def _on_something_unseen(
         reason = (
             f"no equilibrium without it shows what the photo shows: visible IoU of its group {was:.3f} -> {now:.3f}"
         )
-        choice = "rests on something unseen, kept fixed where it is"
-        decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
-    return (state.with_groups(tried, kept) if kept else state), decisions
+        decisions += [Decision(choice=ON_SOMETHING_UNSEEN, reason=reason, about=id, fallback=True) for id in held]
+    if not kept:
+        step = f"something unseen carries some of object {_named(sorted(moving))}"
+        return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried))]
+    return state.with_groups(tried, kept), decisions
 
 
 def _gain(group: Collection[int], was: SettledScene, now: SettledScene) -> float:
