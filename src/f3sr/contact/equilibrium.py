@@ -45,7 +45,7 @@ TILTS = TILT * np.stack([np.cos(2 * np.pi * np.arange(3) / 3), np.sin(2 * np.pi 
 UNBALANCED = 0.03
 """Virtual work per unbalanced weight, as a gap [m]: wider ones are not closed."""
 UNHELD = 0.01
-"""Unbalanced weight from which on contacts below a body are sought farther away, and something else may carry it."""
+"""Unbalanced weight from which on contacts below a body are sought farther away."""
 NEEDLESS = 1e-7
 """Virtual work per force, as a gap [m], so that no contact pushes without need."""
 STEP = 0.03
@@ -178,7 +178,7 @@ def nearest_equilibrium(
         cost=search.cost,
         work=work,
         friction=friction,
-        unheld=search.unheld() if work >= UNHELD * UNBALANCED and not friction else None,
+        unheld=search.unheld() if work >= BALANCED and not friction else None,
     )
 
 
