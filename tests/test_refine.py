@@ -527,7 +527,7 @@ def test_where_contact_leaves_a_group_far_off_its_masks_what_must_hang_is_held_a
     assert [o.mobility for o in after] == [("fixed" if is_kept and id < count else "dynamic") for id in (0, 1)]
     told = [d for d in outcome.decisions if d.fallback]
     assert [d.about for d in told] == (list(range(count)) if is_kept else [])
-    assert all("something unseen" in d.choice and "->" in d.reason for d in told)
+    assert all("kept fixed" in d.choice and "->" in d.reason for d in told)
     assert is_kept or outcome.decisions[-1].choice.endswith("rolled back")
 
 

@@ -36,10 +36,6 @@ Mobility = Literal["dynamic", "fixed"]
 GeometrySource = Literal["estimate", "sensor", "ground"]
 
 
-ON_SOMETHING_UNSEEN = "rests on something unseen, kept fixed where it is"
-"""How decisions tell of ``SceneObject.on_something_unseen``."""
-
-
 def name_of(id: int) -> str:
     """The name of an object in decisions, which know no labels."""
     return "the ground" if id == GROUND else f"object {id}"

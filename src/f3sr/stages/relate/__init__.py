@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, TypedDict
 
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import GROUND, ON_SOMETHING_UNSEEN, Scene, SceneGraph, SceneObject, Support, name_of
+from f3sr.scene import GROUND, Scene, SceneGraph, SceneObject, Support, name_of
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.given import Given, canonical, held_against
 from f3sr.stages.relate.known import Known
@@ -179,7 +179,8 @@ def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
 def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> Decision:
     """What an object rests on and why."""
     if unseen:
-        return Decision(choice=ON_SOMETHING_UNSEEN, reason=unseen, about=o.id, fallback=True)
+        choice = "rests on something unseen, kept fixed where it is"
+        return Decision(choice=choice, reason=unseen, about=o.id, fallback=True)
     further = _named(o.supports[1:])
     choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
     if _overruled(chosen, found):
