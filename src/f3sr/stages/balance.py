@@ -47,13 +47,14 @@ def balance(
     group would slide from there. With ``holds`` the fewest objects without which a group is not balanced are fixed, as
     if something unseen carried them.
     """
+    bodies = {b.id: b for b in bodies_of(scene)}
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
     for group in groups:
         if not 1 <= len(group) <= MOST_OBJECTS:
             continue
         while True:
             found = nearest_equilibrium(
-                bodies_of(scene),
+                [*bodies.values()],
                 {id: costs[id] for id in group},
                 clearance=contact.clearance,
                 ground_friction=scene.ground.friction,
@@ -65,6 +66,7 @@ def balance(
             if not holds or found.unheld is None:
                 break
             scene = scene.with_objects(scene[found.unheld].on_something_unseen())
+            bodies[found.unheld] = replace(bodies[found.unheld], fixed=True)
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
         moved = _moved(scene, found.moves, told)
