@@ -293,6 +293,14 @@ def test_photo_masks_and_direct_composition_come_back(stack: Scene, tmp_path: Pa
         assert np.abs(read.direct[o.id].vertices_world - o.vertices_world).max() < 1e-7
 
 
+def test_direct_composition_of_what_is_held_on_something_unseen_may_move(stack: Scene, tmp_path: Path):
+    """As when it was measured first, before anything was held."""
+    held = stack.with_objects(stack[0].on_something_unseen())
+    read = read_package(write_package(held, tmp_path / "out", direct=stack))
+    assert read.scene[0].mobility == "fixed" and read.direct is not None
+    assert [o.mobility for o in read.direct] == [o.mobility for o in stack]
+
+
 def test_a_footing_comes_back_and_direct_composition_has_none(tmp_path: Path) -> None:
     scene, levelled = on_a_footing()
     o = scene[0]

@@ -512,7 +512,7 @@ def test_where_contact_leaves_a_group_far_off_its_masks_what_must_hang_is_held_a
     slides: tuple[float, float], count: int, is_kept: bool
 ):
     """Boxes side by side have slid out of their masks; ``count`` of them are held there, each for .2 of IoU."""
-    seen = as_shown(scene_of(box(0, at=(-0.0502, 0, 0.05)), box(1, at=(0.0502, 0, 0.05))))
+    seen = side_by_side()
     start = shifted(seen, {0: -slides[0], 1: slides[1]})
     asked = list[frozenset[int]]()
 
@@ -524,19 +524,54 @@ def test_where_contact_leaves_a_group_far_off_its_masks_what_must_hang_is_held_a
 
     after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held)
     assert asked == [frozenset({0, 1})]
-    assert [o.mobility for o in after] == [("fixed" if is_kept and id < count else "dynamic") for id in (0, 1)]
+    assert [after[id].mobility for id in (0, 1)] == [
+        ("fixed" if is_kept and id < count else "dynamic") for id in (0, 1)
+    ]
     told = [d for d in outcome.decisions if d.fallback]
     assert [d.about for d in told] == (list(range(count)) if is_kept else [])
-    assert all("kept fixed" in d.choice and "->" in d.reason for d in told)
+    assert all("kept fixed" in d.choice and "rises by" in d.reason for d in told)
     assert is_kept or outcome.decisions[-1].choice.endswith("rolled back")
 
 
+def side_by_side(source: GeometrySource = "estimate", *, height: float = 0.05) -> Scene:
+    """Two boxes, with two far away that rest, as the photo shows them."""
+    beside = (box(0, at=(-0.0502, 0, height)), box(1, at=(0.0502, 0, height)))
+    return measured(scene_of(*beside, *(box(id, at=(x, 0, 0.05)) for id, x in ((2, 0.25), (3, -0.25)))), source)
+
+
+def held_as_seen(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+    objects = (start[id].on_something_unseen() if id == 0 else start[id] for id in moving)
+    return SettledScene(scene=before.with_objects(*objects), restless=frozenset())
+
+
+def test_nothing_is_held_whose_distance_only_its_input_tells():
+    for seen in (side_by_side("ground"), replace(side_by_side(), geometry=None)):
+        start = shifted(seen, {0: -0.03, 1: 0.03})
+        after, _ = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
+        assert all(o.mobility == "dynamic" for o in after)
+
+
+def test_nothing_is_held_below_the_ground():
+    seen = side_by_side(height=0.04)
+    start = shifted(seen, {0: -0.03, 1: 0.03})
+    after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
+    assert all(o.mobility == "dynamic" for o in after) and "above the ground" in outcome.decisions[-1].reason
+
+
+def test_where_most_would_be_held_none_is():
+    seen = side_by_side()
+    seen = replace(seen, objects=seen.objects[:1])
+    start = shifted(seen, {0: -0.03})
+    after, _ = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
+    assert after[0].mobility == "dynamic"
+
+
 def test_what_is_held_must_rest_and_overlap_nothing(seen: Scene):
+    seen = measured(seen, "estimate")
     start = shifted(seen, {0: 0.1})
 
     def held(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        tried = before.with_objects(*(start[id].on_something_unseen() for id in moving))
-        return SettledScene(scene=tried, restless=frozenset({0}))
+        return replace(held_as_seen(before, start=start, moving=moving), restless=frozenset({0}))
 
     after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held)
     assert after[0].mobility == "dynamic" and not any(d.fallback for d in outcome.decisions)

@@ -205,6 +205,11 @@ def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):
         settled = next(x for x in found if x.stage == "settle")
         told = next(x for x in result.outcomes if isinstance(x, Settled))
         assert settled.turn == pytest.approx(told.turns[o.id], abs=1e-8)
+    id, aligned = result.scene.objects[0].id, result.scenes["align"]
+    again = aligned[id].moved(np.eye(4), stage="refine", reason="from where alignment had it")
+    scenes = {k: result.scenes[k] for k in ("align", "settle")}
+    back = replace(result, scenes={**scenes, "refine": result.scene.with_objects(again)})
+    assert [x.stage for x in moves(PageData(back, page.SIZES[0]), id)] == ["settle", "refine"]
     still = Move(stage="settle", shift=0, turn=0, scale=1, reasons=())
     assert still.amount == "under 0.10\u00a0mm" and replace(still, turn=0.1, scale=1.04).amount == "5.7°, ×1.040"
     section = text[text.index('id="objects"') : text.index('id="supports"')]

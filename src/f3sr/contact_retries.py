@@ -94,7 +94,7 @@ class ContactRetries:
         return best
 
     def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        """Move objects to their nearest equilibrium, where something unseen carries as few of them as need be."""
+        """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them."""
         retry = Retry.of_moving(before, start, moving)
         rested = self._nearest_balance(retry.scene, self._costs(retry.scene), holds=True)
         return self._ended(retry, rested, won_back=WON_BACK_BALANCED)

@@ -122,7 +122,8 @@ def moves(page: PageData, id: int) -> list[Move]:
     found: list[Move] = []
     for (_, a), (stage, b) in pairwise(page.result.scenes.items()):
         before, after = a[id], b[id]
-        notes = after.motion[len(before.motion) :]
+        same = next((k for k, (x, y) in enumerate(zip(before.motion, after.motion, strict=False)) if x != y), None)
+        notes = after.motion[len(before.motion) if same is None else same :]  # some begin again from an earlier stage
         if notes:
             middle = before.mesh.bounds.mean(0)
             way = transform(after.T_world_asset, middle) - transform(before.T_world_asset, middle)

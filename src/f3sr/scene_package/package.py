@@ -238,14 +238,22 @@ def read_package(folder: str | Path) -> Package:
 
 
 def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
-    """The levelled input, from the package's meshes. It has no footing: ``separate`` makes them."""
+    """The levelled input, from the package's meshes. It has no footing: ``separate`` makes them. What the result holds
+    on something unseen may move."""
     if document.direct is None:
         return None
     return replace(
         scene,
         camera=scene.camera.moved(np.array(document.direct.T_world_camera)),
         objects=tuple(
-            replace(scene[r.id], T_world_object=np.array(r.T_world_object), scale=r.scale, footing=(), motion=())
+            replace(
+                scene[r.id],
+                T_world_object=np.array(r.T_world_object),
+                scale=r.scale,
+                footing=(),
+                motion=(),
+                mobility="dynamic" if scene[r.id].supported_by is None else scene[r.id].mobility,
+            )
             for r in document.direct.objects
         ),
     )

@@ -44,8 +44,8 @@ def balance(
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
     ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
-    group would slide from there. With ``holds`` the fewest objects without which a group is not balanced are fixed, as
-    if something unseen carried them.
+    group would slide from there. With ``holds`` objects are fixed one by one, until their group is balanced, as if
+    something unseen carried them.
     """
     bodies = {b.id: b for b in bodies_of(scene)}
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]

@@ -96,7 +96,7 @@ class Retries(Protocol):
         ...
 
     def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        """Objects at their nearest equilibrium, the fewest fixed without which there is none."""
+        """Objects at their nearest equilibrium, some fixed without which there is none."""
         ...
 
 
@@ -126,8 +126,8 @@ def refine(
 
     What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. Where that gains
     nothing, what is still off its masks after alignment is placed again from there. Then every object that is still
-    off its mask is re-aligned alone. Where all that leaves a group far off its masks, as few of its objects as need be
-    are held where the photo shows them: something that the photo does not show carries them, a fallback.
+    off its mask is re-aligned alone. Where all that leaves a group far off its masks, some of its objects are held
+    where the photo shows them: something that it does not show may carry them, a fallback.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -233,30 +233,40 @@ def _one_by_one(
 def _on_something_unseen(
     state: SettledScene, seen: SettledScene, retries: Retries, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
-    """Groups that are far off their masks wherever contact carries them, with some of their objects held."""
-    apart = config.contact.apart
+    """Groups that are far off their masks wherever contact carries them, with some of their objects held.
+
+    That needs the photo's own geometry: without, an object is only as far away as it came. No held object may reach
+    below the ground. Where most would be held, it is the ground that is wrong."""
+    apart, geometry = config.contact.apart, state.scene.geometry
     groups = groups_of(seen.scene, state.scene, apart)
     lost = [g for g in groups if _gain(g, state, seen) > max(UNSEEN, LOST * len(g))]
-    if not lost:
+    if not lost or geometry is None or geometry.source == "ground":
         return state, []
     moving = frozenset[int]().union(*lost)
     start = state.scene.with_objects(*(seen.scene[id] for id in sorted(moving)))
     tried = retries.held(state.scene, start=start, moving=moving)
-    decisions, kept = list[Decision](), list[Collection[int]]()
-    for g in groups_of(state.scene, tried.scene, apart):
-        held = [id for id in sorted(g) if tried.scene[id].mobility != state.scene[id].mobility]
+    kept, decisions = list[Collection[int]](), list[Decision]()
+    found = [(g, _newly_fixed(g, state, tried)) for g in groups_of(state.scene, tried.scene, apart)]
+    if 2 * sum(len(held) for _, held in found) > len(state.scene.objects):
+        found = []
+    for g, held in found:
         gain = _gain(g, state, tried)
-        if not held or gain < UNSEEN * len(held) or _is_worse(g, state, tried):
+        is_sunk = any(tried.scene[id].bounds_world[0, 2] < -apart for id in held)
+        if not held or gain < UNSEEN * len(held) or is_sunk or _is_worse(g, state, tried):
             continue
         kept.append(g)
-        was, now = (float(np.mean([scene.ious[id] for id in g])) for scene in (state, tried))
-        choice = "kept fixed where the photo shows it: nothing seen carries it there"
-        reason = f"visible IoU of its group {was:.3f} -> {now:.3f}; it may rest on something hidden or without a mask"
+        choice = "kept fixed where the photo shows it: what is seen cannot carry it there"
+        reason = f"visible IoU of its group rises by {gain:.2f} in all; what carries it may be hidden, or lack a mask"
         decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
     if not kept:
         step = f"some of object {_named(sorted(moving))} kept fixed where the photo shows them"
-        return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried))]
+        needed = f"; each must win {UNSEEN:g} in all, rest and lie above the ground, and most must be free"
+        return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried) + needed)]
     return state.with_groups(tried, kept), decisions
+
+
+def _newly_fixed(group: Collection[int], was: SettledScene, now: SettledScene) -> list[int]:
+    return [id for id in sorted(group) if now.scene[id].mobility != was.scene[id].mobility]
 
 
 def _gain(group: Collection[int], was: SettledScene, now: SettledScene) -> float:
