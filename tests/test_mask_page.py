@@ -240,7 +240,7 @@ def test_the_browsers_command_line_has_an_address_that_counts_once(served: Serve
     status, _, answer = served.ask("GET", path)
     assert status == 303 and answer.headers["Location"] == f"/{served.server.token}/"
     assert served.ask("GET", path)[:2] == (404, b"nothing here\n")
-    assert served.told == [f"open this page in a browser: {served.server.address}"]
+    assert soon(lambda: served.told == [f"open this page in a browser: {served.server.address}"])
 
 
 def test_only_this_machine_is_listened_to(served: Served):
