@@ -260,6 +260,10 @@ class SceneObject:
         """Held still, as no other object carries it."""
         return replace(self, supported_by=None, supports=(), mobility="fixed")
 
+    @property
+    def is_on_something_unseen(self) -> bool:
+        return self.supported_by is None and self.mobility == "fixed"
+
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""
         from f3sr.core.transforms import rotation_angle

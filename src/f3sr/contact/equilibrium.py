@@ -118,7 +118,7 @@ class Equilibrium:
     """Larger coefficients of bodies that would slide with theirs, by id."""
     unheld: int | None
     """Where weights are left unbalanced, with more friction too, the body that leaves least of them once something else
-    carries it."""
+    carries it; None where that is not asked."""
 
 
 def nearest_equilibrium(
@@ -131,6 +131,7 @@ def nearest_equilibrium(
     start: Mapping[int, BodyMove] | None = None,
     footings: Footings | None = None,
     guessed: Collection[int] = (),
+    holds: bool = False,
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
@@ -139,7 +140,8 @@ def nearest_equilibrium(
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
     ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone. If the
     last steps come to no end, the best of them counts.
-    ``guessed``: ids of bodies whose friction is a guess, and may be larger.
+    ``guessed``: ids of bodies whose friction is a guess, and may be larger. Only with ``holds`` is it asked which body
+    something else may carry.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
@@ -178,7 +180,7 @@ def nearest_equilibrium(
         cost=search.cost,
         work=work,
         friction=friction,
-        unheld=search.unheld() if work >= BALANCED and not friction else None,
+        unheld=search.unheld() if holds and work >= BALANCED and not friction else None,
     )
 
 

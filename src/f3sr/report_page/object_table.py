@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -122,8 +122,9 @@ def moves(page: PageData, id: int) -> list[Move]:
     found: list[Move] = []
     for (_, a), (stage, b) in pairwise(page.result.scenes.items()):
         before, after = a[id], b[id]
-        same = next((k for k, (x, y) in enumerate(zip(before.motion, after.motion, strict=False)) if x != y), None)
-        notes = after.motion[len(before.motion) if same is None else same :]  # some begin again from an earlier stage
+        pairs = zip(before.motion, after.motion, strict=False)
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+        notes = after.motion[shared:]  # some begin again from an earlier stage
         if notes:
             middle = before.mesh.bounds.mean(0)
             way = transform(after.T_world_asset, middle) - transform(before.T_world_asset, middle)

@@ -252,7 +252,7 @@ def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
                 scale=r.scale,
                 footing=(),
                 motion=(),
-                mobility="dynamic" if scene[r.id].supported_by is None else scene[r.id].mobility,
+                mobility="dynamic" if scene[r.id].is_on_something_unseen else scene[r.id].mobility,
             )
             for r in document.direct.objects
         ),

@@ -62,8 +62,9 @@ def balance(
                 start={id: _move(scene[id], start[id]) for id in group} if start else None,
                 footings=partial(_footings, scene, footed),
                 guessed=[id for id in group if id in guessed],
+                holds=holds,
             )
-            if not holds or found.unheld is None:
+            if found.unheld is None:
                 break
             scene = scene.with_objects(scene[found.unheld].on_something_unseen())
             bodies[found.unheld] = replace(bodies[found.unheld], fixed=True)

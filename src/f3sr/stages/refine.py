@@ -239,7 +239,7 @@ def _on_something_unseen(
     below the ground. Where most would be held, it is the ground that is wrong."""
     apart, geometry = config.contact.apart, state.scene.geometry
     groups = groups_of(seen.scene, state.scene, apart)
-    lost = [g for g in groups if _gain(g, state, seen) > max(UNSEEN, LOST * len(g))]
+    lost = [g for g in groups if mean_gain(g, state.ious, seen.ious) > max(UNSEEN / len(g), LOST)]
     if not lost or geometry is None or geometry.source == "ground":
         return state, []
     moving = frozenset[int]().union(*lost)
@@ -250,7 +250,7 @@ def _on_something_unseen(
     if 2 * sum(len(held) for _, held in found) > len(state.scene.objects):
         found = []
     for g, held in found:
-        gain = _gain(g, state, tried)
+        gain = len(g) * mean_gain(g, state.ious, tried.ious)
         is_sunk = any(tried.scene[id].bounds_world[0, 2] < -apart for id in held)
         if not held or gain < UNSEEN * len(held) or is_sunk or _is_worse(g, state, tried):
             continue
@@ -267,11 +267,6 @@ def _on_something_unseen(
 
 def _newly_fixed(group: Collection[int], was: SettledScene, now: SettledScene) -> list[int]:
     return [id for id in sorted(group) if now.scene[id].mobility != was.scene[id].mobility]
-
-
-def _gain(group: Collection[int], was: SettledScene, now: SettledScene) -> float:
-    """Visible IoU that the objects of a group gain, all together."""
-    return sum(now.ious[id] - was.ious[id] for id in group)
 
 
 def _is_worse(group: Collection[int], was: SettledScene, now: SettledScene) -> bool:

@@ -113,7 +113,7 @@ def at_rest(scene: Scene, config: SettleStageConfig) -> SettledScene:
 def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float]) -> SceneObject:
     """The object with the supports that really carry it, the strongest first; as it was where nothing does, or
     something unseen."""
-    if o.supported_by is None and o.mobility == "fixed":
+    if o.is_on_something_unseen:
         return o
     forces = {carrier: force for (carried, carrier), force in loads.items() if carried == o.id}
     total = sum(forces.values())
