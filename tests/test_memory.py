@@ -20,9 +20,9 @@ from scenes import box
 
 FACES, TEXTURE = 20_000, 512
 EYE = camera().resized(1200, 900)
-PEAK_MB = 440
-"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 424 to 433, of which imports
-take 265. One more picture of floats at the photo's size (26 MB) breaks it."""
+PEAK_MB = 448
+"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 431 to 441 in eight runs, of
+which imports take 265. One more picture of floats at the photo's size (26 MB) breaks it."""
 RETURNED = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "4000000", "MALLOC_TRIM_THRESHOLD_": "131072"}
 """For glibc: what is freed goes back at once. Else the peak hangs on which thread frees when, by 120 MB."""
 
