@@ -13,7 +13,7 @@ from f3sr.contact_retries import ContactRetries, Retry
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.pipeline_config import Config, with_shared_settings
-from f3sr.scene import GROUND, Scene, SceneObject, Support
+from f3sr.scene import GROUND, Relation, Scene, SceneObject, Support
 from f3sr.vision import rasterizer
 from scenes import box, scene_of
 
@@ -145,6 +145,19 @@ def test_of_a_stack_on_something_unseen_the_lowest_is_held_and_carries_the_other
     assert not after.restless and min(after.ious.values()) > 0.98
     assert [o.mobility for o in after.scene] == ["fixed", "dynamic"]
     assert [o.carriers for o in after.scene] == [[], [0]]
+
+
+@pytest.mark.parametrize("known", ["support", "mobility"])
+def test_what_is_given_to_rest_on_something_or_to_move_is_not_held(retries: ContactRetries, known: str):
+    up = photographed(scene_of(box(0, at=(0, 0, 0.25)), box(1, at=(0.3, 0, 0.25))))
+    if known == "support":
+        given = Relation(subject=0, predicate="supported_by", object=GROUND, confidence=1, evidence="", source="given")
+        up = replace(up, graph=replace(up.graph, relations=(given,)))
+    else:
+        up = up.with_objects(replace(up[0], mobility_source="given"))
+    down = up.with_objects(*(replace(o, T_world_object=pose(t=[0.3 * o.id, 0, 0.05 + 2.6e-4])) for o in up))
+    after = retries.held(down, start=up, moving=frozenset({0, 1}))
+    assert [o.mobility for o in after.scene] == ["dynamic", "fixed"]
 
 
 def test_nothing_is_held_that_contact_can_carry(planks: Scene, retries: ContactRetries):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -244,6 +245,22 @@ def test_an_object_is_not_put_onto_what_it_carries(package: Package):
     assert not session.outcome.done
     assert "object 1 rests on object 0 itself" in session.outcome.decisions[0].reason
     assert session.scene is package.scene
+
+
+def test_what_hangs_on_something_unseen_is_told_again_until_it_has_a_support(package: Package):
+    on_unseen = package.scene.with_objects(package.scene[1].on_something_unseen())
+    session = session_after(replace(package, scene=on_unseen), {"kind": "move", "id": 3, "by": (0.02, 0.0, 0.0)})
+    assert [d.about for d in session.report.decisions if "still fixed" in d.choice and d.fallback] == [1]
+    session.add(edit("support", session.scene, 1, on=GROUND))
+    require_rest(session.outcome)
+    assert (session.scene[1].mobility, session.scene[1].carriers) == ("dynamic", [GROUND])
+    assert "edit 2: physics moves it again" in [d.choice for d in session.outcome.decisions]
+    assert not any("still fixed" in d.choice for d in session.report.decisions)
+
+
+def test_what_the_user_fixed_stays_fixed_on_a_support(package: Package):
+    session = session_after(package, {"kind": "fix", "id": 3}, {"kind": "support", "id": 3, "on": 0})
+    assert (session.scene[3].mobility, session.scene[3].mobility_source) == ("fixed", "given")
 
 
 def test_materials_are_the_user_s_and_say_so(package: Package):

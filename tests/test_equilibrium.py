@@ -66,8 +66,9 @@ def test_what_hangs_too_high_stays():
 def test_of_a_stack_that_hangs_too_high_something_else_has_to_carry_the_lowest():
     stack = [body(id, block(at=(0, 0, 1 + (0.1 + GAP) * k))) for k, id in enumerate((4, 2, 7))]
     precisions = dict.fromkeys((4, 2, 7), EVEN)
-    assert nearest_equilibrium(stack, precisions, holds=True).unheld == 4
-    found = nearest_equilibrium([replace(stack[0], fixed=True), *stack[1:]], precisions, holds=True)
+    assert nearest_equilibrium(stack, precisions, may_hold=(4, 2, 7)).unheld == 4
+    assert nearest_equilibrium(stack, precisions, may_hold=(2, 7)).unheld == 2
+    found = nearest_equilibrium([replace(stack[0], fixed=True), *stack[1:]], precisions, may_hold=(2, 7))
     assert found.unheld is None and found.work < 1e-5
     assert all(np.abs(moved(b, found).parts.bounds - b.parts.bounds).max() < 1e-3 for b in stack)
 
@@ -75,7 +76,7 @@ def test_of_a_stack_that_hangs_too_high_something_else_has_to_carry_the_lowest()
 def test_what_something_else_carries_still_leaves_what_it_overlaps():
     held, other = body(0, block(at=(0.094, 0, 0.3))), body(1, block(at=(0, 0, 0.3)))
     bodies = [replace(held, fixed=True), other]
-    found = nearest_equilibrium(bodies, {0: EVEN}, holds=True)
+    found = nearest_equilibrium(bodies, {0: EVEN}, may_hold=(0,))
     after = [moved(b, found) for b in bodies]
     assert found.unheld is None
     assert after[0].parts.bounds[0, 0] >= 0.05 + GAP - 2e-5 and middle(after[0])[2] == pytest.approx(0.3, abs=1e-3)

@@ -297,7 +297,7 @@ def test_direct_composition_of_what_is_held_on_something_unseen_may_move(stack: 
     """As when it was measured first, before anything was held."""
     held = stack.with_objects(stack[0].on_something_unseen())
     read = read_package(write_package(held, tmp_path / "out", direct=stack))
-    assert read.scene[0].mobility == "fixed" and read.direct is not None
+    assert (read.scene[0].mobility, read.scene[0].mobility_source) == ("fixed", "found") and read.direct is not None
     assert [o.mobility for o in read.direct] == [o.mobility for o in stack]
 
 

@@ -551,6 +551,14 @@ def test_nothing_is_held_whose_distance_only_its_input_tells():
         assert all(o.mobility == "dynamic" for o in after)
 
 
+def test_nothing_is_held_whose_mobility_is_given():
+    seen = side_by_side()
+    seen = seen.with_objects(*(replace(seen[id], mobility_source="given") for id in (0, 1)))
+    start = shifted(seen, {0: -0.03, 1: 0.03})
+    after, _ = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
+    assert all(o.mobility == "dynamic" for o in after)
+
+
 def test_nothing_is_held_below_the_ground():
     seen = side_by_side(height=0.04)
     start = shifted(seen, {0: -0.03, 1: 0.03})

@@ -229,6 +229,14 @@ def test_what_hangs_above_all_stays_and_says_so(height: float):
     assert not any(r.subject == 1 and r.predicate == "supported_by" for r in scene.graph.relations)
 
 
+def test_what_is_given_to_move_comes_down_and_what_is_given_to_be_fixed_stays():
+    scene = hanging(0.15)
+    given = replace(scene[1], mobility_source="given")
+    assert relate(scene.with_objects(given))[0][1].supported_by == GROUND
+    fixed = relate(scene.with_objects(replace(given, mobility="fixed")))[0][1]
+    assert (fixed.supported_by, fixed.mobility_source) == (None, "given")
+
+
 @pytest.mark.parametrize("scene", [hanging(0.03), noisy(hanging(0.06)), hanging(0.4, geometry=False)])
 def test_what_floats_a_little_or_is_not_well_measured_comes_down(scene: Scene):
     assert relate(scene)[0][1].supported_by == GROUND

@@ -96,7 +96,8 @@ class ContactRetries:
     def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
         """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them."""
         retry = Retry.of_moving(before, start, moving)
-        rested = self._nearest_balance(retry.scene, self._costs(retry.scene), holds=True)
+        may_hold = frozenset(id for id in moving if before.may_be_unsupported(id))
+        rested = self._nearest_balance(retry.scene, self._costs(retry.scene), may_hold=may_hold)
         return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
@@ -159,7 +160,7 @@ class ContactRetries:
         finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
-        holds: bool = False,
+        may_hold: Collection[int] = (),
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
 
@@ -167,7 +168,7 @@ class ContactRetries:
         footed = partial(on_own_footings, config=self.config.separate)
         guessed = [o.id for o in scene if rougher and o.mobility != "fixed" and _is_guessed(o)]
         placed = balance(
-            scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed, holds=holds
+            scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed, may_hold=may_hold
         )
         rested, shown = self._at_rest(finished(placed)), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)

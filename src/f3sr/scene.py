@@ -33,6 +33,7 @@ Structure = Literal["solid", "hollow"]
 MaterialSource = Literal["given", "label", "default", "model"]
 """Where the density comes from: materials.json, the label, the default, or a model."""
 Mobility = Literal["dynamic", "fixed"]
+MobilitySource = Literal["default", "given", "found"]
 GeometrySource = Literal["estimate", "sensor", "ground"]
 
 
@@ -168,6 +169,8 @@ class SceneObject:
     footing: tuple[ConvexPart, ...] = ()
     """Convex wedges under the mesh that hold it in the pose of the photo; same frame and unit (docs: contact)."""
     mobility: Mobility = "dynamic"
+    mobility_source: MobilitySource = "default"
+    """``found``: fixed because nothing that is seen can carry it where the photo shows it."""
     density: float = 600.0
     """[kg/m3]"""
     solid: MassProperties | None = None
@@ -258,7 +261,8 @@ class SceneObject:
 
     def on_something_unseen(self) -> Self:
         """Held still, as no other object carries it."""
-        return replace(self, supported_by=None, supports=(), mobility="fixed")
+        source = self.mobility_source if self.mobility == "fixed" else "found"
+        return replace(self, supported_by=None, supports=(), mobility="fixed", mobility_source=source)
 
     @property
     def is_on_something_unseen(self) -> bool:
@@ -400,6 +404,11 @@ class Scene:
         if unknown := new.keys() - self._by_id.keys():
             raise KeyError(f"no objects {sorted(unknown)}; the scene has {sorted(self._by_id)}")
         return replace(self, objects=tuple(new.get(o.id, o) for o in self.objects))
+
+    def may_be_unsupported(self, id: int) -> bool:
+        """Whether something unseen may carry an object: not where it is given that it moves, or what it rests on."""
+        given = (r.subject for r in self.graph.relations if r.source == "given" and r.predicate == "supported_by")
+        return self[id].mobility_source != "given" and id not in given
 
     def children(self, id: int) -> tuple[int, ...]:
         """Ids of the objects whose main support is ``id``."""

@@ -39,6 +39,7 @@ def sample(
     from f3sr.play.goal_loop import scene_sha
     from f3sr.runtime import kernels
     from f3sr.runtime.atomic_folder import claimed, recover
+    from f3sr.scene import name_of
     from f3sr.scene_package.package import read_package
     from f3sr.scene_package.package_folder import placed
     from f3sr.scene_package.scene_json import dump_json
@@ -78,6 +79,9 @@ def sample(
          for s in told["spread"]],
         header=("id", "object", "position [mm]", "turn [deg]", "size [%]"),
     )  # fmt: skip
+    for o in content.scene:
+        if o.mobility_source == "found":
+            console.say(f"fallback: {name_of(o.id)} is fixed, as nothing that is seen carries it; no sample moves it")
     if len(rows) < count:
         console.say(f"fallback: only {len(rows)} of {count} samples; of the others {rejected[-1]}")
     if bound := sum(bool(r["moved_as_one"]) for r in rows):

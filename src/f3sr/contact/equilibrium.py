@@ -118,7 +118,7 @@ class Equilibrium:
     """Larger coefficients of bodies that would slide with theirs, by id."""
     unheld: int | None
     """Where weights are left unbalanced, with more friction too, the body that leaves least of them once something else
-    carries it; None where that is not asked."""
+    carries it; None where none may be held."""
 
 
 def nearest_equilibrium(
@@ -131,7 +131,7 @@ def nearest_equilibrium(
     start: Mapping[int, BodyMove] | None = None,
     footings: Footings | None = None,
     guessed: Collection[int] = (),
-    holds: bool = False,
+    may_hold: Collection[int] = (),
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
@@ -140,8 +140,8 @@ def nearest_equilibrium(
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
     ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone. If the
     last steps come to no end, the best of them counts.
-    ``guessed``: ids of bodies whose friction is a guess, and may be larger. Only with ``holds`` is it asked which body
-    something else may carry.
+    ``guessed``: ids of bodies whose friction is a guess, and may be larger. ``may_hold``: ids of bodies that something
+    else may carry.
 
     ``precisions``: a positive definite (7, 7) per id that may move; the others stay. It is the inverse covariance of a
     shift [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale are about the middle of the
@@ -180,7 +180,7 @@ def nearest_equilibrium(
         cost=search.cost,
         work=work,
         friction=friction,
-        unheld=search.unheld() if holds and work >= BALANCED and not friction else None,
+        unheld=search.unheld(may_hold) if work >= BALANCED and not friction else None,
     )
 
 
@@ -295,11 +295,13 @@ class _EquilibriumSearch:
         helps = work >= BALANCED and self._forces(near, TILTS, dict.fromkeys(low, TRIED))[1] < BALANCED
         return dict.fromkeys(low, HOLDS) if helps else {}
 
-    def unheld(self) -> int | None:
-        """The body that leaves least virtual work once something else carries it; None where all are carried."""
-        free = [id for id in self.ids if id not in self.held]
+    def unheld(self, may_hold: Collection[int]) -> int | None:
+        """The body that leaves least virtual work once something else carries it; None where none may be held."""
+        free = [id for id in self.ids if id in may_hold and id not in self.held]
+        if not free:
+            return None
         _, near, _ = self._near()
-        return min(free, key=lambda id: self._forces(near, TILTS, held={id})[1], default=None)
+        return min(free, key=lambda id: self._forces(near, TILTS, held={id})[1])
 
     def _near(self) -> tuple[NearContacts, NearContacts, NDArray[np.int64]]:
         """Contacts of bodies, the same with those of footings, and by which of the first each gap closes."""

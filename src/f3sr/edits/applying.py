@@ -67,7 +67,7 @@ def apply_edit(scene: Scene, edit: Edit, number: int, config: Config, effort: Ef
         said = Decision(choice=f"edit {number}: called {edit.to!r}", reason=f"was {edit.label!r}", about=edit.id)
         return Applied(scene=_described(named, config), decisions=(said,))
     if isinstance(edit, FixEdit):
-        held = scene.with_objects(replace(scene[edit.id], mobility="fixed"))
+        held = scene.with_objects(replace(scene[edit.id], mobility="fixed", mobility_source="given"))
         said = Decision(choice=f"edit {number}: fixed where it is", reason="given", about=edit.id)
         return Applied(scene=_described(held, config), decisions=(said,), given=frozenset({edit.id}))
     if isinstance(edit, MaterialEdit):
@@ -125,9 +125,14 @@ def _described(scene: Scene, config: Config) -> Scene:
 def _moved(
     scene: Scene, edit: MoveEdit | TurnEdit | ScaleEdit | SupportEdit, number: int, config: Config, effort: Effort
 ) -> Applied:
+    decisions = list[Decision]()
+    if isinstance(edit, SupportEdit) and scene[edit.id].mobility_source == "found":
+        scene = scene.with_objects(replace(scene[edit.id], mobility="dynamic", mobility_source="default"))
+        reason = "it was fixed only as nothing that is seen carried it"
+        decisions.append(Decision(choice=f"edit {number}: physics moves it again", reason=reason, about=edit.id))
     there = put(scene, edit, number)
     landed = land(scene, there, config, effort)
-    decisions = [_asked(there, landed, edit, number)]
+    decisions.append(_asked(there, landed, edit, number))
     if isinstance(edit, SupportEdit) and edit.on not in landed.scene[edit.id].carriers:
         choice = f"edit {number}: does not stay on {name_of(edit.on)}; rests on {_carriers(landed.scene[edit.id])}"
         decisions.append(Decision(choice=choice, reason="it slid or fell off there", about=edit.id, fallback=True))
@@ -179,7 +184,7 @@ def _taken_out(scene: Scene, edit: DeleteEdit, number: int, config: Config, effo
 
 
 def _let_go(scene: Scene, edit: ReleaseEdit, number: int, config: Config, effort: Effort) -> Applied:
-    free = scene.with_objects(replace(scene[edit.id], mobility="dynamic"))
+    free = scene.with_objects(replace(scene[edit.id], mobility="dynamic", mobility_source="given"))
     there = Put(scene=free, placed=frozenset({edit.id}), roots=(edit.id,))
     if scene[edit.id].supported_by is not None and (stays := _staying(free, edit.id, config)):
         said = Decision(choice=f"edit {number}: released, rests as it is", reason="given", about=edit.id)

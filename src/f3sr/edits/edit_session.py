@@ -111,13 +111,14 @@ class EditSession:
 
     @property
     def report(self) -> Report:
-        """The result sheet of all edits, as of a stage."""
+        """The result sheet of all edits, as of a stage; it tells once more what nothing that is seen carries."""
         first, last = self._outcomes[0], self.outcome
-        decisions = tuple(d for o in self._outcomes for d in o.decisions)
+        told = tuple(d for o in self._outcomes for d in o.decisions)
+        held = tuple(_still_held(o.id) for o in self.scene if o.mobility_source == "found")
         names = (("mIoU_visible", ""), ("N_cross", ""), ("K_max_J", "J"), ("D_max_cm", "cm"), ("gap_pct", "%"))
         was, now = first.measures.as_dict(), last.measures.as_dict()
         measures = tuple(Measure(name=n, before=was[n], after=now[n], unit=unit) for n, unit in names)
-        return Report(stage=EDIT, measures=measures, decisions=decisions)
+        return Report(stage=EDIT, measures=measures, decisions=(*told, *held))
 
     def add(self, edit: Edit, *, progress: Progress = silent) -> EditOutcome:
         """Apply an edit to the scene of now, and measure it. What was undone before is forgotten.
@@ -244,3 +245,8 @@ def _restless(applied: Applied, now: Measures, number: int) -> list[Decision]:
     choice = f"edit {number}: the scene is not at rest"
     reason = f"released without damping, an object moves {now.D_max_cm:.2f} cm in 5 s"
     return [Decision(choice=choice, reason=reason, fallback=True)]
+
+
+def _still_held(id: int) -> Decision:
+    choice = "still fixed where the photo shows it"
+    return Decision(choice=choice, reason="nothing that is seen carries it there", about=id, fallback=True)

@@ -16,7 +16,7 @@ from f3sr.scene import Geometry, Ground, Motion, Node, Relation, Scene, SceneGra
 
 Arrays = dict[str, NDArray[Any]]
 PLAIN = (
-    *("mobility", "density", "friction", "rolling_friction", "restitution", "damping", "structure"),
+    *("mobility", "mobility_source", "density", "friction", "rolling_friction", "restitution", "damping", "structure"),
     *("material", "material_source", "material_reason", "supported_by", "scale"),
 )
 """Fields of an object that JSON holds as they are."""

@@ -252,7 +252,7 @@ def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
                 scale=r.scale,
                 footing=(),
                 motion=(),
-                mobility="dynamic" if scene[r.id].is_on_something_unseen else scene[r.id].mobility,
+                mobility="dynamic" if scene[r.id].mobility_source == "found" else scene[r.id].mobility,
             )
             for r in document.direct.objects
         ),
@@ -398,6 +398,7 @@ def _read_object(
         parts=tuple(parts[path] for path in record.collision[:proxies]),
         footing=tuple(parts[path] for path in record.collision[proxies:]),
         mobility=record.mobility,
+        mobility_source=record.mobility_source,
         density=record.density,
         solid=MassProperties(
             volume=record.mass / record.density,

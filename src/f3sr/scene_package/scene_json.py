@@ -61,6 +61,7 @@ from f3sr.scene import (
     Ground,
     MaterialSource,
     Mobility,
+    MobilitySource,
     Predicate,
     RelationSource,
     Scene,
@@ -194,6 +195,8 @@ class ObjectRecord(_SceneRecord):
     """How many parts at the end of ``collision`` are its footing."""
     T_world_object: RigidMatrix4
     mobility: Mobility
+    mobility_source: MobilitySource = "default"
+    """``found``: fixed because nothing that is seen can carry it where the photo shows it."""
     mass: Mass
     inertia: Inertia
     """kg m2 about the centre of mass, object axes."""
@@ -419,6 +422,7 @@ def _object(o: SceneObject, known: PoseUncertainty | None) -> dict[str, Any]:
         "footing": len(o.footing),
         "T_world_object": _list(o.T_world_object),
         "mobility": o.mobility,
+        "mobility_source": o.mobility_source,
         "mass": float(body.mass),
         "inertia": _list(body.inertia),
         "center_of_mass": _list(body.center),

@@ -121,7 +121,7 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
             o, density=unknown_density(volume), material_reason=f"nothing but its volume, {1000 * volume:.2g} l"
         )
     if asset.fixed:
-        o = replace(o, mobility="fixed")
+        o = replace(o, mobility="fixed", mobility_source="given")
     if not given:
         return o
     named = material_of(given.material) if given.material else None
@@ -130,6 +130,8 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
         o = replace(o, **(named.properties if named else {}), material_source="given")
     else:
         reasons += [o.material_reason] if o.material_reason else []
+    if given.mobility:
+        o = replace(o, mobility_source="given")
     return replace(o, **given.properties, material_reason="; ".join(reasons))
 
 

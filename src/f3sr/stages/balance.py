@@ -36,7 +36,7 @@ def balance(
     apart: bool = False,
     start: Scene | None = None,
     guessed: Collection[int] = (),
-    holds: bool = False,
+    may_hold: Collection[int] = (),
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
@@ -44,8 +44,8 @@ def balance(
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
     ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
-    group would slide from there. With ``holds`` objects are fixed one by one, until their group is balanced, as if
-    something unseen carried them.
+    group would slide from there. Objects that it ``may_hold``, by id, are fixed one by one, until their group is
+    balanced, as if something unseen carried them.
     """
     bodies = {b.id: b for b in bodies_of(scene)}
     groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
@@ -62,7 +62,7 @@ def balance(
                 start={id: _move(scene[id], start[id]) for id in group} if start else None,
                 footings=partial(_footings, scene, footed),
                 guessed=[id for id in group if id in guessed],
-                holds=holds,
+                may_hold=[id for id in group if id in may_hold],
             )
             if found.unheld is None:
                 break

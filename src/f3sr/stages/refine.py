@@ -236,10 +236,12 @@ def _on_something_unseen(
     """Groups that are far off their masks wherever contact carries them, with some of their objects held.
 
     That needs the photo's own geometry: without, an object is only as far away as it came. No held object may reach
-    below the ground. Where most would be held, it is the ground that is wrong."""
+    below the ground, nor one of which a support or its mobility is given. Where most would be held, it is the ground
+    that is wrong."""
     apart, geometry = config.contact.apart, state.scene.geometry
     groups = groups_of(seen.scene, state.scene, apart)
-    lost = [g for g in groups if mean_gain(g, state.ious, seen.ious) > max(UNSEEN / len(g), LOST)]
+    far_off = [g for g in groups if mean_gain(g, state.ious, seen.ious) > max(UNSEEN / len(g), LOST)]
+    lost = [g for g in far_off if any(map(state.scene.may_be_unsupported, g))]
     if not lost or geometry is None or geometry.source == "ground":
         return state, []
     moving = frozenset[int]().union(*lost)

@@ -142,8 +142,10 @@ def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known:
 
 
 def _unseen(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], known: Known) -> str | None:
-    """Why an object rests on something unseen; what is given to rest on something does not."""
-    return hangs(o, found, known) if chosen.cost >= 0 else None
+    """Why an object rests on something unseen; what is given to move or to rest on something does not."""
+    if chosen.cost < 0 or (o.mobility == "dynamic" and o.mobility_source == "given"):
+        return None
+    return hangs(o, found, known)
 
 
 def _supported(o: SceneObject, resting: Carried, unseen: bool) -> SceneObject:
