@@ -11,7 +11,7 @@ from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose
 from f3sr.scene import GROUND, SceneObject
-from scenes import ball_mesh, box, dish_mesh
+from scenes import ball_mesh, box, box_mesh, dish_mesh
 
 RADIUS, DISH = 0.05, 0.25
 
@@ -44,6 +44,22 @@ def test_what_lies_on_it_or_beside_it_is_not_below():
     assert meeting(lower, [upper, beside]).other == GROUND
     found = meeting(upper, [lower, beside])
     assert (found.other, found.gap) == (0, pytest.approx(0.002, abs=1e-5))
+
+
+def shelf(*heights: float) -> Mesh:
+    """Boards of one mesh, .02 m thick, with their tops at these heights [m]."""
+    boards = [box_mesh((0.5, 0.4, 0.02)) for _ in heights]
+    vertices = [b.vertices + np.array([0, 0, z - 0.01]) for b, z in zip(boards, heights, strict=True)]
+    faces = [b.faces + len(b.vertices) * k for k, b in enumerate(boards)]
+    return Mesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces).astype(np.int32))
+
+
+@pytest.mark.parametrize("mesh", [box_mesh(), ball_mesh(RADIUS)], ids=["box", "ball"])
+@pytest.mark.parametrize("board", [0.1, 0.4])
+def test_a_board_above_does_not_hide_the_one_below(mesh: Mesh, board: float):
+    """A shelf's upper boards hid the one on which a box stood: its gap was that to the ground."""
+    found = meeting(at(1, mesh, 0.02, 0.01, board + 0.053), [at(0, shelf(0.1, 0.4, 0.7), 0, 0, 0)])
+    assert (found.other, found.gap) == (0, pytest.approx(0.003, abs=1e-4))
 
 
 def test_each_pose_scale_and_object_of_the_same_meshes_has_its_own_meeting():

@@ -60,14 +60,17 @@ def _between(upper: SceneObject, lower: SceneObject) -> Meeting | None:
 
 
 def _nearest(upper: SceneObject, lower: SceneObject, low: Array, high: Array) -> Meeting | None:
-    """The same over a rectangle of the xy plane."""
+    """The same over a rectangle of the xy plane. What lies above all of the upper mesh's underside there hides nothing:
+    a shelf's boards above a box."""
     found = None
     for _ in range(LOOKS):
         if (high <= low).any():
             break
         grid = height_map.Grid.over(low, high, float((high - low).max()) / CELLS)
         above = height_map.lower(upper.vertices_world, _over(upper, low, high), grid)
-        below = height_map.upper(lower.vertices_world, _over(lower, low, high), grid)
+        if np.isnan(above).all():
+            break
+        below = height_map.upper(lower.vertices_world, _over(lower, low, high, under=np.nanmax(above)), grid)
         gap = np.where(above - below > -THROUGH, above - below, np.inf)
         k = int(np.argmin(gap))
         if not np.isfinite(gap.flat[k]):
@@ -80,10 +83,11 @@ def _nearest(upper: SceneObject, lower: SceneObject, low: Array, high: Array) ->
     return found
 
 
-def _over(o: SceneObject, low: Array, high: Array) -> NDArray[np.int32]:
-    """An object's triangles over a rectangle of the xy plane: those not wholly beyond one of its sides."""
+def _over(o: SceneObject, low: Array, high: Array, *, under: float = np.inf) -> NDArray[np.int32]:
+    """An object's triangles over a rectangle of the xy plane, and ``under`` a height: those not wholly beyond."""
     x, y = o.vertices_world[:, 0], o.vertices_world[:, 1]
     # One bit per side (Cohen and Sutherland).
     beyond = (x < low[0]) | (x > high[0]) * np.uint8(2) | (y < low[1]) * np.uint8(4) | (y > high[1]) * np.uint8(8)
+    beyond |= (o.vertices_world[:, 2] > under + THROUGH) * np.uint8(16)
     a, b, c = o.mesh.faces.T
     return o.mesh.faces[beyond[a] & beyond[b] & beyond[c] == 0]

@@ -116,10 +116,13 @@ def place_on(surface: MeshSurface, parts: Sequence[ConvexPart], point: Array, ou
     return Place(point=point, outward=outward, off=off)
 
 
-def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
+def trimmed(
+    surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, near: Near, *, most: int
+) -> tuple[ConvexPart, ...]:
     """The parts, cut back or split where their stand-off at a place exceeds the allowed one.
 
-    Unchanged parts are the same values. Together they cover all of the mesh that they covered before."""
+    Unchanged parts are the same values. Together they cover all of the mesh that they covered before. What would have
+    to be split into more than ``most`` parts in all stays; crumpled meshes would ask for it at every contact."""
     now, added = list(parts), list[ConvexPart]()
     for k, part in enumerate(parts):
         if (spot := _in_the_way(part, place, near.tolerance, SLACK * surface.size)) is None:
@@ -127,7 +130,10 @@ def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, nea
         if part not in surface.held:
             around = surface.around(*bounds_of(part.vertices))
             surface.held[part] = _Held.of(part, around, surface.size)
-        left = _trimmed(surface.held[part], place, spot, near, SPLITS)
+        room = most - len(now) - len(added)
+        left = _trimmed(surface.held[part], place, spot, near, SPLITS if room > 0 else 0)
+        if len(left) - 1 > max(room, 0):
+            continue
         surface.held.update({h.part: h for h in left})
         now[k] = left[0].part
         added += [h.part for h in left[1:]]

@@ -344,9 +344,7 @@ class _Lowered:
         return True
 
     def _trim(self, there: Place, near: Near) -> bool:
-        parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale))
-        if len(parts) > self._most:
-            return False
+        parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale), most=self._most)
         if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
             return False
         self._change(replace(self.now, parts=parts))
