@@ -25,6 +25,20 @@ FAR, NEAR = (0.03, 0.03), (0.01, 0.0)
 """How far two boxes have slid [m]."""
 
 
+def test_what_an_equilibrium_shows_where_it_was_seen_is_not_stood_up():
+    """Boxes side by side; one of them toppled, and the search leads both back."""
+    seen = side_by_side()
+    fell = seen[0].moved(pose(rotation_about([1, 0, 0], np.pi / 2), [0, 0.05, 0]), stage="test", reason="")
+    start = seen.with_objects(fell)
+
+    def balanced(before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
+        return SettledScene(scene=before.with_objects(*(seen[id] for id in moving)), restless=frozenset())
+
+    parted = seen.with_objects(seen[0].moved(pose(rotation_about([0, 0, 1], 0.5)), stage="test", reason=""))
+    after, _ = retried(start, NO_ROUND, aligned=seen, parted=parted, balanced=balanced, stood_up=never)
+    assert after[0] is seen[0]
+
+
 @pytest.fixture
 def seen() -> Scene:
     """Two boxes far apart, the masks what the camera sees."""

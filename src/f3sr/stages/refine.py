@@ -60,8 +60,8 @@ GAINING = 3e-3
 class RefineConfig:
     """What is tried again once everything rests, and kept where the picture gains.
 
-    Objects that toppled are stood on their nearest stable facet before physics. What contact moved off its masks goes
-    to the equilibrium nearest to where alignment had it, or is placed again from there. Then all are re-aligned under
+    What contact moved off its masks goes to the equilibrium nearest to where alignment had it, or is placed again from
+    there. What toppled elsewhere is stood on its nearest stable facet before physics. Then all are re-aligned under
     contact, at last one by one: they turn about the vertical, shift horizontally and scale about their base, and are
     separated and settled again.
     """
@@ -122,12 +122,13 @@ def refine(
     retries: Retries,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
-    """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
+    """Seek an equilibrium for what contact moved off its masks, then align again what rests, until nothing gains.
 
-    What contact moved off its masks is moved to the equilibrium nearest to where ``aligned`` has it. Where that gains
-    nothing, what is still off its masks after alignment is placed again from there. Then every object that is still
-    off its mask is re-aligned alone. Where all that leaves a group far off its masks, some of its objects are held
-    where the photo shows them: something that it does not show may carry them, a fallback.
+    It is the one nearest to where ``aligned`` has it. Where the search gained nothing, what toppled since ``parted``
+    (before physics) is stood up, and what is still off its masks after alignment is placed again from where ``aligned``
+    has it. Then every object that is still off its mask is re-aligned alone. Where all that leaves a group
+    far off its masks, some of its objects are held where the photo shows them: something that it does not show may
+    carry them, a fallback.
 
     ``restless`` are the ids of objects that do not rest as they are.
     """
@@ -135,21 +136,23 @@ def refine(
     seen = SettledScene(scene=_seen_by(scene.camera, aligned), restless=frozenset())
     before = state.seen
     decisions: list[Decision] = []
-    if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
-        step = f"standing up what toppled: object {_named(toppled)}"
-        upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
-        tried = retries.stood_up(state.scene, toppled, start=upright, moving=moving)
-        state, decision, _ = _better(state, tried, toppled, step, config)
-        decisions.append(decision)
-    unbalanced = [o.id for o in state.scene]
+    unbalanced = frozenset(o.id for o in state.scene)
     if lost := sorted(moved_off_masks(state, seen, config.contact)):
         step = f"moved to the nearest equilibrium: object {_named(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
         tried = retries.balanced(state.scene, start=start, moving=frozenset(lost))
-        state, decision, unbalanced = _better(state, tried, lost, step, config)
+        state, decision, undone = _better(state, tried, lost, step, config)
         decisions.append(decision)
+        unbalanced = unbalanced.difference(lost).union(undone)
+    if toppled := [id for id in sorted(unbalanced) if _turn(parted[id], state.scene[id]) > TOPPLE]:
+        step = f"standing up what toppled: object {_named(toppled)}"
+        upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
+        fallen, tried = state, retries.stood_up(state.scene, toppled, start=upright, moving=moving)
+        state, decision, _ = _better(state, tried, toppled, step, config)
+        decisions.append(decision)
+        unbalanced = unbalanced.union(o.id for o in state.scene if o is not fallen.scene[o.id])
     came = state
-    again = _Realigning(retries, balanced=frozenset(lost).difference(unbalanced))
+    again = _Realigning(retries, balanced=frozenset(o.id for o in state.scene) - unbalanced)
     state, told = _rounds(came, [o.id for o in came.scene], again, config)
     decisions += told
     lost = sorted(moved_off_masks(state, seen, config.contact).intersection(unbalanced))
