@@ -16,7 +16,7 @@ from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
-from f3sr.stages.balance import balance
+from f3sr.stages.balance import Footed, balance, with_held
 from f3sr.stages.close import close, lowered
 from f3sr.stages.refine import GAIN, UPRIGHT, moved_off_masks
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
@@ -93,12 +93,24 @@ class ContactRetries:
             best = best.or_better(again, self._contact.apart)
         return best
 
-    def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them."""
+    def held(self, before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
+        """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them.
+
+        Where that is none of them, or more than ``most``, all is as before."""
         retry = Retry.of_moving(before, start, moving)
-        may_hold = frozenset(id for id in moving if before.may_be_unsupported(id))
-        rested = self._nearest_balance(retry.scene, self._costs(retry.scene), may_hold=may_hold)
-        return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
+        costs = self._costs(retry.scene)
+        held = with_held(
+            retry.scene,
+            costs,
+            self._contact,
+            footed=self._footed,
+            guessed=_guessed(retry.scene),
+            may_hold=[id for id in moving if before.may_be_unsupported(id)],
+            most=most,
+        )
+        if held is None or held is retry.scene:
+            return SettledScene(scene=before, restless=frozenset())
+        return self._ended(retry, self._nearest_balance(held, costs), won_back=WON_BACK_BALANCED)
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
@@ -111,6 +123,10 @@ class ContactRetries:
     @property
     def _contact(self) -> ContactMargin:
         return self.config.refine.contact
+
+    @property
+    def _footed(self) -> Footed:
+        return partial(on_own_footings, config=self.config.separate)
 
     def _ended(
         self, retry: Retry, rested: SettledScene, *, won_back: float = WON_BACK, closes: bool = True
@@ -160,16 +176,12 @@ class ContactRetries:
         finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
-        may_hold: Collection[int] = (),
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
 
         The second kind is not asked where all groups rest on the first and show what they show in balance."""
-        footed = partial(on_own_footings, config=self.config.separate)
-        guessed = [o.id for o in scene if rougher and o.mobility != "fixed" and _is_guessed(o)]
-        placed = balance(
-            scene, costs, self._contact, footed=footed, apart=apart, start=start, guessed=guessed, may_hold=may_hold
-        )
+        guessed = _guessed(scene) if rougher else []
+        placed = balance(scene, costs, self._contact, footed=self._footed, apart=apart, start=start, guessed=guessed)
         rested, shown = self._at_rest(finished(placed)), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)
         if not rested.restless and all(mean_gain(g, shown, rested.scores) > -GAIN for g in groups):
@@ -250,7 +262,11 @@ class Retry:
         return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
 
 
+def _guessed(scene: Scene) -> list[int]:
+    """Ids of what may move and whose friction nothing but its label tells, or nothing at all."""
+    return [o.id for o in scene if o.mobility != "fixed" and _is_guessed(o)]
+
+
 def _is_guessed(o: SceneObject) -> bool:
-    """Whether nothing but its label, or nothing at all, tells the friction of an object."""
     known = material_of(o.label)
     return o.material_source != "given" and o.friction == (known.friction if known else SceneObject.friction)

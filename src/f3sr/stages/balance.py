@@ -36,7 +36,6 @@ def balance(
     apart: bool = False,
     start: Scene | None = None,
     guessed: Collection[int] = (),
-    may_hold: Collection[int] = (),
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
@@ -44,36 +43,67 @@ def balance(
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
     ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
-    group would slide from there. Objects that it ``may_hold``, by id, are fixed one by one, until their group is
-    balanced, as if something unseen carried them.
+    group would slide from there.
     """
-    bodies = {b.id: b for b in bodies_of(scene)}
-    groups = [sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart)]
-    for group in groups:
-        if not 1 <= len(group) <= MOST_OBJECTS:
-            continue
-        while True:
-            found = nearest_equilibrium(
-                [*bodies.values()],
-                {id: costs[id] for id in group},
-                clearance=contact.clearance,
-                ground_friction=scene.ground.friction,
-                apart=apart,
-                start={id: _move(scene[id], start[id]) for id in group} if start else None,
-                footings=partial(_footings, scene, footed),
-                guessed=[id for id in group if id in guessed],
-                may_hold=[id for id in group if id in may_hold],
-            )
-            if found.unheld is None:
-                break
-            scene = scene.with_objects(scene[found.unheld].on_something_unseen())
-            bodies[found.unheld] = replace(bodies[found.unheld], fixed=True)
+    bodies = bodies_of(scene)
+    for group in _groups(scene, costs, contact):
+        found = nearest_equilibrium(
+            bodies,
+            {id: costs[id] for id in group},
+            clearance=contact.clearance,
+            ground_friction=scene.ground.friction,
+            apart=apart,
+            start={id: _move(scene[id], start[id]) for id in group} if start else None,
+            footings=partial(_footings, scene, footed),
+            guessed=[id for id in group if id in guessed],
+        )
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
         moved = _moved(scene, found.moves, told)
         footed_objects = (replace(moved[k], parts=there[k].parts, footing=there[k].footing) for k in group)
         scene = moved.with_objects(*(_rougher(o, found.friction.get(o.id)) for o in footed_objects))
     return scene
+
+
+def with_held(
+    scene: Scene,
+    costs: Mapping[int, Array],
+    contact: ContactMargin,
+    *,
+    footed: Footed,
+    guessed: Collection[int] = (),
+    may_hold: Collection[int],
+    most: int,
+) -> Scene | None:
+    """The scene with objects fixed where it has them, as if something unseen carried them: one by one those without
+    which their contact group has no equilibrium near it. None where more than ``most`` would be fixed.
+
+    It ``may_hold`` some objects, by id; the other arguments are those of ``balance``."""
+    held = 0
+    for group in _groups(scene, costs, contact):
+        while True:
+            found = nearest_equilibrium(
+                bodies_of(scene),
+                {id: costs[id] for id in group},
+                clearance=contact.clearance,
+                ground_friction=scene.ground.friction,
+                footings=partial(_footings, scene, footed),
+                guessed=[id for id in group if id in guessed],
+                may_hold=[id for id in group if id in may_hold],
+            )
+            if found.unheld is None:
+                break
+            held += 1
+            if held > most:
+                return None
+            scene = scene.with_objects(scene[found.unheld].on_something_unseen())
+    return scene
+
+
+def _groups(scene: Scene, costs: Mapping[int, Array], contact: ContactMargin) -> list[list[int]]:
+    """Ids of what may move in each contact group that is not too large."""
+    groups = (sorted(g & costs.keys()) for g in groups_of(scene, scene, contact.apart))
+    return [g for g in groups if 1 <= len(g) <= MOST_OBJECTS]
 
 
 def _footings(scene: Scene, footed: Footed, moves: Mapping[int, BodyMove], overlapping: bool) -> dict[int, FootedBody]:

@@ -95,8 +95,9 @@ class Retries(Protocol):
         """Objects separated and settled."""
         ...
 
-    def held(self, before: Scene, *, start: Scene, moving: frozenset[int]) -> SettledScene:
-        """Objects at their nearest equilibrium, some fixed without which there is none."""
+    def held(self, before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
+        """Objects at their nearest equilibrium, some fixed without which there is none; as before if not at ``most``
+        so many."""
         ...
 
 
@@ -249,12 +250,12 @@ def _on_something_unseen(
         return state, []
     moving = frozenset[int]().union(*lost)
     start = state.scene.with_objects(*(seen.scene[id] for id in sorted(moving)))
-    tried = retries.held(state.scene, start=start, moving=moving)
+    could_gain = sum(len(g) * mean_gain(g, state.ious, seen.ious) for g in lost)
+    most = min(len(state.scene.objects) // 2, int(could_gain / UNSEEN))
+    tried = retries.held(state.scene, start=start, moving=moving, most=most)
     kept, decisions = list[Collection[int]](), list[Decision]()
-    found = [(g, _newly_fixed(g, state, tried)) for g in groups_of(state.scene, tried.scene, apart)]
-    if 2 * sum(len(held) for _, held in found) > len(state.scene.objects):
-        found = []
-    for g, held in found:
+    for g in groups_of(state.scene, tried.scene, apart):
+        held = _newly_fixed(g, state, tried)
         gain = len(g) * mean_gain(g, state.ious, tried.ious)
         is_sunk = any(tried.scene[id].bounds_world[0, 2] < -apart for id in held)
         if not held or gain < UNSEEN * len(held) or is_sunk or _is_worse(g, state, tried):
