@@ -248,5 +248,5 @@ def _restless(applied: Applied, now: Measures, number: int) -> list[Decision]:
 
 
 def _still_held(id: int) -> Decision:
-    choice = "still fixed where the photo shows it"
-    return Decision(choice=choice, reason="nothing that is seen carries it there", about=id, fallback=True)
+    reason = "nothing that is seen carried it where the photo shows it; a support edit lets it move"
+    return Decision(choice="still fixed", reason=reason, about=id, fallback=True)
