@@ -237,9 +237,14 @@ def test_what_is_given_to_move_comes_down_and_what_is_given_to_be_fixed_stays():
     assert (fixed.supported_by, fixed.mobility_source) == (None, "given")
 
 
-@pytest.mark.parametrize("scene", [hanging(0.03), noisy(hanging(0.06)), hanging(0.4, geometry=False)])
-def test_what_floats_a_little_or_is_not_well_measured_comes_down(scene: Scene):
-    assert relate(scene)[0][1].supported_by == GROUND
+@pytest.mark.parametrize(
+    ("scene", "is_told"), [(hanging(0.03), False), (noisy(hanging(0.06)), True), (hanging(0.4, geometry=False), False)]
+)
+def test_what_floats_a_little_or_is_not_well_measured_comes_down(scene: Scene, is_told: bool):
+    related, outcome = relate(scene)
+    assert related[1].supported_by == GROUND
+    told = [d for d in outcome.decisions if d.fallback]
+    assert [d.about for d in told] == [1] * is_told and all("3.0% noise" in d.reason for d in told)
 
 
 # --- laws -----------------------------------------------------------------------------------------------------

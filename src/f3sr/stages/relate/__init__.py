@@ -15,7 +15,7 @@ from f3sr.stages.relate.leaning import rests_on
 from f3sr.stages.relate.load_shares import Carried, carried, without_circles
 from f3sr.stages.relate.scene_graph import FoundSupports, graph_of
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
-from f3sr.stages.relate.unseen import hangs
+from f3sr.stages.relate.unseen import Hanging, hanging
 
 __all__ = ["Candidate", "Described", "GraphOutcome", "RelateConfig", "Related", "describe", "forest", "relate"]
 
@@ -72,7 +72,8 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rel
     given = held_against(scene.graph, found, known)
     chosen = forest([*given.supports, *(c for cs in found.values() for c in cs)])
     resting = _resting(chosen, found, given, known)
-    unseen = {o.id: why for o in scene if (why := _unseen(o, chosen[o.id], found[o.id], known))}
+    hang = {o.id: how for o in scene if (how := _hanging(o, chosen[o.id], found[o.id], known))}
+    unseen = {id for id, how in hang.items() if how.is_sure}
     objects = tuple(_supported(o, resting[o.id], o.id in unseen) for o in scene)
     related = scene.with_objects(*objects)
     judged = FoundSupports(found=found, chosen=chosen, resting=resting, given=given)
@@ -80,7 +81,7 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rel
     disagreements = [*given.decisions, *_circles(given, chosen)]
     decisions = list(disagreements)
     for o in related:
-        decisions.append(_said(o, chosen[o.id], found[o.id], unseen.get(o.id)))
+        decisions.append(_said(o, chosen[o.id], found[o.id], hang.get(o.id)))
         if o.id not in unseen and (overruled := _overruled(chosen[o.id], found[o.id])):
             decisions.append(overruled)
             disagreements.append(overruled)
@@ -141,11 +142,11 @@ def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known:
     return without_circles(resting)
 
 
-def _unseen(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], known: Known) -> str | None:
-    """Why an object rests on something unseen; what is given to move or to rest on something does not."""
+def _hanging(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], known: Known) -> Hanging | None:
+    """How an object hangs in the air; what is given to move or to rest on something does not."""
     if chosen.cost < 0 or (o.mobility == "dynamic" and o.mobility_source == "given"):
         return None
-    return hangs(o, found, known)
+    return hanging(o, found, known)
 
 
 def _supported(o: SceneObject, resting: Carried, unseen: bool) -> SceneObject:
@@ -178,11 +179,14 @@ def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
     ]
 
 
-def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> Decision:
+def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], hang: Hanging | None) -> Decision:
     """What an object rests on and why."""
-    if unseen:
+    if hang and hang.is_sure:
         choice = "rests on something unseen, kept fixed where it is"
-        return Decision(choice=choice, reason=unseen, about=o.id, fallback=True)
+        return Decision(choice=choice, reason=hang.evidence, about=o.id, fallback=True)
+    if hang and chosen.parent == GROUND:
+        choice = "comes down to the ground, unless it hangs on something unseen"
+        return Decision(choice=choice, reason=hang.evidence, about=o.id, fallback=True)
     further = _named(o.supports[1:])
     choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
     if _overruled(chosen, found):

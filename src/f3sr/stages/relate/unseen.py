@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,8 +14,18 @@ from f3sr.stages.relate.supports import Candidate
 from f3sr.vision.depth_prior import sigma
 
 
-def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | None:
-    """Why an object rests on something unseen, in figures; None where it need not.
+@dataclass(frozen=True, kw_only=True)
+class Hanging:
+    """An object well above the ground, by the photo's own geometry too, that nothing else is likely to carry."""
+
+    evidence: str
+    """In figures."""
+    is_sure: bool
+    """Whether it would have to move by more than that geometry may be wrong."""
+
+
+def hanging(o: SceneObject, found: Sequence[Candidate], known: Known) -> Hanging | None:
+    """How an object hangs in the air; None where it does not.
 
     Generated poses can be far off: only where the photo's own geometry agrees with the object's depth is it believed.
     """
@@ -23,18 +34,19 @@ def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | Non
         return None
     height, eye = mine.lowest, known.plan.eye
     farther = height / (eye - height) if eye > height else np.inf
-    least = max(config.unseen_scale, config.unseen_sigmas * sigma(known.scene.geometry))
-    if height <= config.unseen_height * o.size or farther <= least:
+    if height <= config.unseen_height * o.size or farther <= config.unseen_scale:
         return None
     off = depth_error(o, known)
     if off is None or off > config.unseen_agreement * min(farther, 1.0):
         return None
+    noise = sigma(known.scene.geometry)
     reach = "no distance" if np.isinf(farther) else f"only {100 * farther:.0f}% farther away"
-    return (
+    evidence = (
         f"{1000 * height:.0f} mm above the ground, {height / o.size:.1f} of its sizes, no other object is likely to "
-        f"carry it, and it would reach the ground at {reach}, while the photo's geometry agrees with its depth to "
-        f"{100 * off:.1f}%"
+        f"carry it, and it would reach the ground at {reach}, while the photo's geometry, of {100 * noise:.1f}% noise, "
+        f"agrees with its depth to {100 * off:.1f}%"
     )
+    return Hanging(evidence=evidence, is_sure=farther > config.unseen_sigmas * noise)
 
 
 def depth_error(o: SceneObject, known: Known) -> float | None:
