@@ -229,6 +229,19 @@ def test_what_hangs_above_all_stays_and_says_so(height: float):
     assert not any(r.subject == 1 and r.predicate == "supported_by" for r in scene.graph.relations)
 
 
+def test_where_most_hang_the_ground_may_be_wrong():
+    scene = hanging(0.15)
+    doubt = "the ground may be wrong"
+    assert not any(doubt in d.choice for d in relate(scene)[1].decisions), "one of two"
+    alone = replace(scene, objects=(scene[1],))
+    assert not any(doubt in d.choice for d in relate(alone)[1].decisions), "a cup on a box without a mask"
+    below = pose(t=[0, 0, 0.2])
+    lifted = scene.with_objects(*(o.moved(below, stage="test", reason="the ground is .2 m too low") for o in scene))
+    camera = scene.camera.moved(below @ scene.camera.T_world_camera)
+    (told,) = (d for d in relate(replace(lifted, camera=camera))[1].decisions if doubt in d.choice)
+    assert told.fallback and told.about is None and told.reason.startswith("2 of 2")
+
+
 def test_what_is_given_to_move_comes_down_and_what_is_given_to_be_fixed_stays():
     scene = hanging(0.15)
     given = replace(scene[1], mobility_source="given")
