@@ -86,9 +86,7 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rel
             decisions.append(overruled)
             disagreements.append(overruled)
     if len(unseen) > 1 and 2 * len(unseen) > len(scene.objects):
-        reason = (
-            f"{len(unseen)} of {len(scene.objects)} are above it by the photo's geometry; look at its mask"
-        )
+        reason = f"{len(unseen)} of {len(scene.objects)} are above it by the photo's geometry; look at its mask"
         decisions.append(Decision(choice="most objects hang: the ground may be wrong", reason=reason, fallback=True))
     outcome = Related(decisions=tuple(decisions), disagreements=tuple(disagreements), **_counts(related, given))
     return replace(related, graph=graph), outcome
