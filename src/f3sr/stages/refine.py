@@ -137,26 +137,26 @@ def refine(
     seen = SettledScene(scene=_seen_by(scene.camera, aligned), restless=frozenset())
     before = state.seen
     decisions: list[Decision] = []
-    unbalanced = frozenset(o.id for o in state.scene)
+    balanced = frozenset[int]()
     if lost := sorted(moved_off_masks(state, seen, config.contact)):
         step = f"moved to the nearest equilibrium: object {_named(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
         tried = retries.balanced(state.scene, start=start, moving=frozenset(lost))
         state, decision, undone = _better(state, tried, lost, step, config)
         decisions.append(decision)
-        unbalanced = unbalanced.difference(lost).union(undone)
-    if toppled := [id for id in sorted(unbalanced) if _turn(parted[id], state.scene[id]) > TOPPLE]:
+        balanced = frozenset(lost).difference(undone)
+    if toppled := [o.id for o in state.scene if o.id not in balanced and _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
         upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
         fallen, tried = state, retries.stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
-        unbalanced = unbalanced.union(o.id for o in state.scene if o is not fallen.scene[o.id])
+        balanced = balanced.difference(o.id for o in state.scene if o is not fallen.scene[o.id])
     came = state
-    again = _Realigning(retries, balanced=frozenset(o.id for o in state.scene) - unbalanced)
+    again = _Realigning(retries, balanced=balanced)
     state, told = _rounds(came, [o.id for o in came.scene], again, config)
     decisions += told
-    lost = sorted(moved_off_masks(state, seen, config.contact).intersection(unbalanced))
+    lost = sorted(moved_off_masks(state, seen, config.contact).difference(balanced))
     placed, told = _placed_again(came, lost, seen, retries, config)
     decisions += told
     if placed is not came:
