@@ -591,6 +591,20 @@ def test_where_most_would_be_held_none_is():
     assert after[0].mobility == "dynamic"
 
 
+def test_a_group_that_needs_more_than_it_may_have_leaves_another_its_hold():
+    seen = side_by_side()
+    start = shifted(seen, {0: -NEAR[0], 1: NEAR[1], 2: 0.1})
+
+    def held(before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
+        """Every object needs to be held."""
+        objects = [start[id].on_something_unseen() for id in moving] if len(moving) <= most else []
+        return SettledScene(scene=before.with_objects(*objects), restless=frozenset())
+
+    after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held)
+    assert [o.id for o in after if o.mobility == "fixed"] == [2]
+    assert [d.about for d in outcome.decisions if d.fallback] == [2]
+
+
 def test_what_is_held_must_rest_and_overlap_nothing(seen: Scene):
     seen = measured(seen, "estimate")
     start = shifted(seen, {0: 0.1})

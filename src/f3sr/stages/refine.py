@@ -243,16 +243,28 @@ def _on_something_unseen(
     below the ground, nor one of which a support or its mobility is given. Where most would be held, it is the ground
     that is wrong."""
     apart, geometry = config.contact.apart, state.scene.geometry
-    groups = groups_of(seen.scene, state.scene, apart)
-    far_off = [g for g in groups if mean_gain(g, state.ious, seen.ious) > max(UNSEEN / len(g), LOST)]
-    lost = [g for g in far_off if any(map(state.scene.may_be_unsupported, g))]
-    if not lost or geometry is None or geometry.source == "ground":
+    if geometry is None or geometry.source == "ground":
         return state, []
-    moving = frozenset[int]().union(*lost)
-    start = state.scene.with_objects(*(seen.scene[id] for id in sorted(moving)))
-    could_gain = sum(len(g) * mean_gain(g, state.ious, seen.ious) for g in lost)
-    most = min(len(state.scene.objects) // 2, int(could_gain / UNSEEN))
-    tried = retries.held(state.scene, start=start, moving=moving, most=most)
+    decisions, free = list[Decision](), len(state.scene.objects) // 2
+    for group in groups_of(seen.scene, state.scene, apart):
+        could_gain = len(group) * mean_gain(group, state.ious, seen.ious)
+        is_far_off = could_gain > max(UNSEEN, LOST * len(group))
+        if not is_far_off or not any(map(state.scene.may_be_unsupported, group)):
+            continue
+        most = min(free, int(could_gain / UNSEEN))
+        start = state.scene.with_objects(*(seen.scene[id] for id in sorted(group)))
+        tried = retries.held(state.scene, start=start, moving=group, most=most)
+        was = state
+        state, told = _held(was, tried, group, apart)
+        free -= len(_newly_fixed(group, was, state))
+        decisions += told
+    return state, decisions
+
+
+def _held(
+    state: SettledScene, tried: SettledScene, group: frozenset[int], apart: float
+) -> tuple[SettledScene, list[Decision]]:
+    """What was tried of a group, where each object that is held wins enough."""
     kept, decisions = list[Collection[int]](), list[Decision]()
     for g in groups_of(state.scene, tried.scene, apart):
         held = _newly_fixed(g, state, tried)
@@ -265,7 +277,7 @@ def _on_something_unseen(
         reason = f"visible IoU of its group rises by {gain:.2f} in all; what carries it may be hidden, or lack a mask"
         decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
     if not kept:
-        step = f"some of object {_named(sorted(moving))} kept fixed where the photo shows them"
+        step = f"some of object {_named(sorted(group))} kept fixed where the photo shows them"
         needed = f"; each must win {UNSEEN:g} in all, rest and lie above the ground, and most must be free"
         return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried) + needed)]
     return state.with_groups(tried, kept), decisions
