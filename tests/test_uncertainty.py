@@ -323,9 +323,13 @@ def test_what_is_no_covariance_is_refused(package: Path, tmp_path: Path, name: s
 
 
 def test_sample_writes_packages_that_can_be_read(package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "samples"
+    package, out = shutil.copytree(package, tmp_path / "package"), tmp_path / "samples"
+    tree = json.loads((package / "scene.json").read_text())
+    tree["objects"][0] |= {"mobility": "fixed", "mobility_source": "found"}
+    (package / "scene.json").write_text(json.dumps(tree))
     assert main(["sample", str(package), "-n", "2", "-o", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
+    assert told["held"] == [tree["objects"][0]["id"]]
     assert [row["folder"] for row in told["samples"]] == ["001", "002"]
     original = f3sr.read_package(package)
     for row in told["samples"]:
@@ -334,6 +338,7 @@ def test_sample_writes_packages_that_can_be_read(package: Path, tmp_path: Path, 
         assert content.document.provenance["sample"]["of"] == told["scene"]
         assert row["mIoU_visible"] >= visible_iou(original.scene) - 0.01
     assert json.loads((out / "samples.json").read_text())["samples"] == told["samples"]
+    assert json.loads((out / "samples.json").read_text())["held"] == told["held"]
     assert main(["sample", str(package), "-n", "2", "-o", str(out)]) == 1
     assert "is there already" in capsys.readouterr().err
 

@@ -69,6 +69,7 @@ def sample(
             raise F3srError(f"no sample of {package} rests on its masks")
         told = {"scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
         told["spread"] = [_spread(o, kept) for o in content.scene if o.mobility == "dynamic"]
+        told["held"] = [o.id for o in content.scene if o.mobility_source == "found"]
         claim.write(INDEX, dump_json(told))
         claim.replace()
     if json:
@@ -79,9 +80,8 @@ def sample(
          for s in told["spread"]],
         header=("id", "object", "position [mm]", "turn [deg]", "size [%]"),
     )  # fmt: skip
-    for o in content.scene:
-        if o.mobility_source == "found":
-            console.say(f"fallback: {name_of(o.id)} is fixed, as nothing that is seen carries it; no sample moves it")
+    for id in told["held"]:
+        console.say(f"fallback: {name_of(id)} is fixed, as nothing that is seen carries it; no sample moves it")
     if len(rows) < count:
         console.say(f"fallback: only {len(rows)} of {count} samples; of the others {rejected[-1]}")
     if bound := sum(bool(r["moved_as_one"]) for r in rows):
