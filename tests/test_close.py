@@ -197,7 +197,7 @@ def seen(scene: Scene) -> Scene:
 @pytest.mark.parametrize(
     ("end", "why"),
     [
-        (lambda s: SettledScene(scene=s, restless=frozenset([0])), "does not come to rest"),
+        (lambda s: SettledScene(scene=s, restless=frozenset([0])), "not at rest: object 0"),
         (lambda s: settled(s.with_objects(s[0].moved(pose(t=[0.03, 0, 0]), stage="settle", reason=""))), "visible IoU"),
     ],
 )

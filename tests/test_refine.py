@@ -245,7 +245,7 @@ def test_what_is_off_its_mask_is_at_last_re_aligned_alone_what_is_farthest_off_f
     assert calls == [[0], [1]]
     assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
     assert [d.choice for d in outcome.decisions[-2:]] == [
-        f"re-alignment under contact of {id} alone: accepted" for id in (0, 1)
+        f"re-alignment under contact of object {id} alone: accepted" for id in (0, 1)
     ]
 
 
@@ -261,7 +261,7 @@ def test_what_was_re_aligned_alone_in_vain_is_not_tried_again(touching: Scene):
 
     after, outcome = retried(start, ONCE, aligned=touching, parted=start, realigned=again)
     assert calls[:2] == [[0, 1], [0]] and calls.count([0]) == 1
-    assert [d.choice for d in outcome.decisions].count("re-alignment under contact of 0 alone: rolled back") == 1
+    assert [d.choice for d in outcome.decisions].count("re-alignment under contact of object 0 alone: rolled back") == 1
     assert np.array_equal(after[0].T_world_object, start[0].T_world_object)
 
 
@@ -465,7 +465,7 @@ def test_what_contact_moved_off_its_masks_is_balanced_first_from_where_the_photo
         start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, balanced=balanced, replaced=never,
         realigned=realigned,
     )  # fmt: skip
-    assert outcome.decisions[0].choice == "moved to the nearest equilibrium: object 0, 1: accepted"
+    assert outcome.decisions[0].choice == "moved to the nearest equilibrium: objects 0 and 1: accepted"
     for o in after:
         assert o.T_world_object == pytest.approx(touching[o.id].T_world_object, abs=1e-12)
 
@@ -517,7 +517,7 @@ def test_what_overlaps_is_not_kept_unless_it_did_before(touching: Scene, before:
 
     after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, balanced=balanced)
     assert (after[0] is seen[0]) == before
-    assert outcome.decisions[0].reason.endswith("and object 0, 1 overlaps another") != before
+    assert outcome.decisions[0].reason.endswith("overlapping: objects 0 and 1") != before
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ Arrays are read-only. A stage returns a new scene with ``with_objects`` or ``dat
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
@@ -40,6 +40,12 @@ GeometrySource = Literal["estimate", "sensor", "ground"]
 def name_of(id: int) -> str:
     """The name of an object in decisions, which know no labels."""
     return "the ground" if id == GROUND else f"object {id}"
+
+
+def names_of(ids: Collection[int]) -> str:
+    """``object 3``, ``objects 1, 3 and 4``, in the order of their ids."""
+    *first, last = map(str, sorted(ids))
+    return f"objects {', '.join(first)} and {last}" if first else f"object {last}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -24,7 +24,7 @@ from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.proxies import trim
 from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.scene import GROUND, Scene, SceneObject, names_of
 from f3sr.settings import constants, settings
 
 STEPS = 24
@@ -152,23 +152,19 @@ def _better(
         reason = f"visible IoU of the group {-loss:+.4f}"
         restless, apart = group & rested.restless, group - moving
         if restless:
-            reason += f", and object {_named(restless)} does not come to rest"
+            reason += f", not at rest: {names_of(restless)}"
         if apart:
-            reason += f", and object {_named(apart)}, which was not settled with it, is touched"
+            reason += f", touched, but not settled with it: {names_of(apart)}"
         allowed = max(config.loss, IOU_OF_GAP * _closed(start, after, group & changed))
         is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
-        choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"
+        choice = f"colliders cut back of {names_of(group & changed)}: {verdict}"
         decisions.append(Decision(choice=choice, reason=reason))
         if is_better:
             scene = scene.with_objects(*(after[id] for id in sorted(group)))
         else:
             spoiling |= restless or {id for id, lost in losses.items() if lost > allowed}
     return scene, decisions, frozenset(spoiling)
-
-
-def _named(ids: Collection[int]) -> str:
-    return ", ".join(map(str, sorted(ids)))
 
 
 def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:

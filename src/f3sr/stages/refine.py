@@ -20,7 +20,7 @@ from f3sr.core.transforms import invert_pose, rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene, SceneObject, name_of, names_of
 from f3sr.settings import settings
 from f3sr.uncertainty.config import UncertaintyConfig
 from f3sr.vision import depth_prior
@@ -139,14 +139,14 @@ def refine(
     decisions: list[Decision] = []
     balanced = frozenset[int]()
     if lost := sorted(moved_off_masks(state, seen, config.contact)):
-        step = f"moved to the nearest equilibrium: object {_named(lost)}"
+        step = f"moved to the nearest equilibrium: {names_of(lost)}"
         start = state.scene.with_objects(*(seen.scene[id] for id in lost))
         tried = retries.balanced(state.scene, start=start, moving=frozenset(lost))
         state, decision, undone = _better(state, tried, lost, step, config)
         decisions.append(decision)
         balanced = frozenset(lost).difference(undone)
     if toppled := [o.id for o in state.scene if o.id not in balanced and _turn(parted[o.id], o) > TOPPLE]:
-        step = f"standing up what toppled: object {_named(toppled)}"
+        step = f"standing up what toppled: {names_of(toppled)}"
         upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
         fallen, tried = state, retries.stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
@@ -161,7 +161,7 @@ def refine(
     decisions += told
     if placed is not came:
         placed, told = _rounds(placed, lost, again, config)
-        step = f"placed again and then re-aligned object {_named(lost)}"
+        step = f"placed again and then re-aligned {names_of(lost)}"
         state, decision, _ = _better(state, placed, lost, step, config)
         decisions += [*told, decision]
     state, told = _one_by_one(state, seen, again, config)
@@ -227,7 +227,7 @@ def _one_by_one(
             break
         was = state
         if not again.was_tried(state, [id]):
-            step = f"re-alignment under contact of {id} alone"
+            step = f"re-alignment under contact of {name_of(id)} alone"
             state, decision, _ = _better(state, again(state, [id]), [id], step, config)
             decisions.append(decision)
         in_vain = in_vain + 1 if state is was else 0
@@ -277,7 +277,7 @@ def _held(
         reason = f"visible IoU of its group rises by {gain:.2f} in all; what carries it may be hidden, or lack a mask"
         decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
     if not kept:
-        step = f"some of object {_named(sorted(group))} kept fixed where the photo shows them"
+        step = f"some of {names_of(group)} kept fixed where the photo shows them"
         needed = f"; each must win {UNSEEN:g} in all, rest and lie above the ground, and most must be free"
         return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried) + needed)]
     return state.with_groups(tried, kept), decisions
@@ -302,7 +302,7 @@ def _placed_again(
     for k in range(RETURNS):
         if not (ids := sorted(moved_off_masks(state, seen, config.contact).intersection(ids))):
             break
-        step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
+        step = f"placed again {'near' if k else 'from'} where the photo shows {names_of(ids)}"
         start = _as_seen(state.scene, seen.scene, ids, attempt=k)
         was, tried = state, retries.replaced(state.scene, start=start, moving=frozenset(ids))
         state, decision, _ = _better(state, tried, ids, step, config)
@@ -358,20 +358,16 @@ def _round(
     state: SettledScene, ids: Sequence[int], again: _Realigning, config: RefineConfig
 ) -> tuple[SettledScene, list[Decision]]:
     """Some objects re-aligned; then, of groups that were undone, those that would gain alone."""
-    step = "re-alignment under contact" + (f" of {_named(ids)}" if len(ids) < len(state.scene.objects) else "")
+    step = "re-alignment under contact" + (f" of {names_of(ids)}" if len(ids) < len(state.scene.objects) else "")
     tried = again(state, ids)
     kept, decision, undone = _better(state, tried, ids, step, config)
     decisions = [decision]
     alone = _would_gain(state, tried, undone, GAINING)
     if alone and len(alone) < len(ids):
-        step = f"re-alignment under contact of {_named(alone)} alone"
+        step = f"re-alignment under contact of {names_of(alone)} alone"
         kept, decision, _ = _better(kept, again(kept, alone), alone, step, config)
         decisions.append(decision)
     return kept, decisions
-
-
-def _named(ids: Sequence[int]) -> str:
-    return ", ".join(map(str, ids))
 
 
 def _better(
@@ -391,12 +387,12 @@ def _better(
     candidates = [(state.with_groups(tried, groups), groups) for groups in (gaining, able)] if gaining else []
     best, changed = max(candidates, key=lambda c: c[0].score, default=(state, []))
     if best.score <= state.score:
-        reason = _told(state, tried) + _not_at_rest(sorted(tried.restless - state.restless))
+        reason = _told(state, tried) + _not_at_rest(tried.restless - state.restless)
         if crossing := sorted(tried.overlapping - state.overlapping):
-            reason += f", and object {_named(crossing)} overlaps another"
+            reason += f", overlapping: {names_of(crossing)}"
         return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
     undone = [id for id in ids if not any(id in g for g in changed)]
-    but = f" but for {_named(undone)}" if undone else ""
+    but = f" but for {names_of(undone)}" if undone else ""
     return best, Decision(choice=f"{step}: accepted{but}", reason=_told(state, best)), undone
 
 
@@ -406,8 +402,8 @@ def _told(was: SettledScene, now: SettledScene) -> str:
     return seen + (measured if was.scene.has_measured_depth else "")
 
 
-def _not_at_rest(ids: Sequence[int]) -> str:
-    return f", and object {_named(ids)} does not come to rest" if ids else ""
+def _not_at_rest(ids: Collection[int]) -> str:
+    return f", not at rest: {names_of(ids)}" if ids else ""
 
 
 def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:

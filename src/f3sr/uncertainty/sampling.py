@@ -21,7 +21,7 @@ from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import Measures, measure
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
-from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.scene import GROUND, Scene, SceneObject, names_of
 from f3sr.settings import constants
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.decimated import outlined
@@ -145,7 +145,7 @@ def _failed(best: SettledScene, state: SettledScene, config: SamplingConfig) -> 
 
 def _judged(rested: SettledScene, best: float, as_one: frozenset[int], config: SamplingConfig) -> Sample | Rejected:
     if rested.restless:
-        return Rejected(reason=f"object {', '.join(map(str, sorted(rested.restless)))} does not come to rest")
+        return Rejected(reason=f"not at rest: {names_of(rested.restless)}")
     if rested.seen < best - config.loss:
         return Rejected(reason=f"mIoU_visible {rested.seen:.4f} instead of {best:.4f}")
     found = measure(rested.scene)
