@@ -16,7 +16,7 @@ from f3sr.metrics import contact_groups
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
-from f3sr.stages.refine import RETURNS, RefineConfig, Refined, Retries, refine
+from f3sr.stages.refine import RETURNS, UNSEEN, RefineConfig, Refined, Retries, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
@@ -148,7 +148,7 @@ def test_of_two_scenes_a_group_is_taken_where_nothing_overlaps_whatever_it_shows
 
 def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen: Scene):
     fell = seen[0].moved(pose(rotation_about([1, 0, 0], np.pi / 2)), stage="test", reason="")
-    start = seen.with_objects(fell, seen[1].moved(pose(t=[0.01, 0, 0]), stage="test", reason=""))
+    start = seen.with_objects(fell, seen[1].moved(pose(t=[0.003, 0, 0]), stage="test", reason=""))
     asked: list[tuple[Scene, Collection[int], Collection[int]]] = []
 
     def stood_up(
@@ -589,6 +589,25 @@ def test_where_most_would_be_held_none_is():
     start = shifted(seen, {0: -0.03})
     after, _ = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
     assert after[0].mobility == "dynamic"
+
+
+@pytest.mark.parametrize(("farther", "is_kept"), [(1.05, False), (1.08, True)])
+def test_what_lies_elsewhere_is_held_though_it_shows_most_of_its_mask(farther: float, is_kept: bool):
+    seen = side_by_side()
+    T = seen.camera.homothety(farther)
+    away = seen[2].moved(T, scale=farther, stage="test", reason="")
+    start = seen.with_objects(away.moved(pose(t=[0.003, 0, 0]), stage="test", reason=""))
+    lost = visible_ious(seen)[2] - visible_ious(start)[2]
+    assert 0 < lost < UNSEEN
+
+    def held(before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
+        assert moving == {2} and most == 1
+        return SettledScene(scene=before.with_objects(start[2].on_something_unseen()), restless=frozenset())
+
+    after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held)
+    assert (after[2].mobility == "fixed") == is_kept
+    assert [d.about for d in outcome.decisions if d.fallback] == ([2] if is_kept else [])
+    assert not is_kept or "object 2 would lie elsewhere" in outcome.decisions[-1].reason
 
 
 def test_a_group_that_needs_more_than_it_may_have_leaves_another_its_hold():

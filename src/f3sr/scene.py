@@ -19,7 +19,7 @@ from f3sr.core import support_forest
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.resampling import resample
-from f3sr.core.transforms import Array, bounds_of, boxes_of, frozen, transform
+from f3sr.core.transforms import Array, bounds_of, boxes_of, frozen, rotation_angle, transform
 
 GROUND = -1
 """The id of the ground in supports and contacts."""
@@ -276,8 +276,6 @@ class SceneObject:
 
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""
-        from f3sr.core.transforms import rotation_angle
-
         R, t = T[:3, :3], T[:3, 3]
         T_new = np.eye(4)
         T_new[:3, :3] = R @ self.T_world_object[:3, :3]
@@ -292,6 +290,18 @@ class SceneObject:
             reason=reason,
         )
         return replace(self, T_world_object=T_new, scale=self.scale * scale, motion=(*self.motion, note))
+
+    def motion_to(self, other: SceneObject) -> tuple[Array, float]:
+        """The T (4, 4) and the scale with which ``moved`` takes the object to where another scene has it."""
+        scale = other.scale / self.scale
+        T = np.eye(4)
+        T[:3, :3] = other.T_world_object[:3, :3] @ self.T_world_object[:3, :3].T
+        T[:3, 3] = other.T_world_object[:3, 3] - T[:3, :3] @ (scale * self.T_world_object[:3, 3])
+        return T, scale
+
+    def angle_to(self, other: SceneObject) -> float:
+        """The turn [rad] to how another scene has the object."""
+        return rotation_angle(self.motion_to(other)[0][:3, :3])
 
 
 Predicate = Literal[

@@ -22,7 +22,7 @@ from f3sr.edits.edit_list import (
     TurnEdit,
 )
 from f3sr.edits.landing import Effort, Landed, land, settled, touching
-from f3sr.edits.placing import Put, put, turned, without
+from f3sr.edits.placing import Put, put, without
 from f3sr.files.bounds import MAX_DENSITY, MAX_OBJECT, MIN_DENSITY, MIN_OBJECT
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.pipeline_config import Config
@@ -143,7 +143,7 @@ def _moved(
 def _asked(there: Put, landed: Landed, edit: Edit, number: int) -> Decision:
     """Whether an object is where it was put."""
     put_there, now = there.scene[edit.id], landed.scene[edit.id]
-    off, turn = _off(put_there, now), turned(put_there, now)
+    off, turn = _off(put_there, now), put_there.angle_to(now)
     resting = f"rests on {_carriers(now)}" if now.mobility == "dynamic" else "is fixed"
     if there.note:
         return Decision(choice=f"edit {number}: {there.note}", reason=resting, about=edit.id, fallback=True)
@@ -162,7 +162,7 @@ def _others(
     """Objects that came to move by an edit of another one."""
     found = list[Decision]()
     for id in sorted(landed.moving - {but}):
-        off, turn = _off(was[id], landed.scene[id]), turned(was[id], landed.scene[id])
+        off, turn = _off(was[id], landed.scene[id]), was[id].angle_to(landed.scene[id])
         if np.linalg.norm(off) > TOLD or turn > TOLD_TURN:
             verb = "fell" if id in fallen else "moved"
             choice = f"edit {number}: {verb} too, to {_where(off, turn)} where it was"
@@ -283,7 +283,7 @@ def _staying(scene: Scene, id: int, config: Config) -> Scene | None:
     after = settled(scene, sorted(k for k in group if scene[k].mobility == "dynamic"), config)
     margin = config.settle.physics.contact.body
     stays = not after.restless and all(
-        np.linalg.norm(_off(scene[k], after.scene[k])) <= margin and turned(scene[k], after.scene[k]) <= STAYS_TURN
+        np.linalg.norm(_off(scene[k], after.scene[k])) <= margin and scene[k].angle_to(after.scene[k]) <= STAYS_TURN
         for k in group
     )
     if not stays:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact.compounds import Compound, free_travel, placed, smallest_shift
-from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle, turn_about
+from f3sr.core.transforms import UP, Array, pose, rotation_about, turn_about
 from f3sr.edits.edit_list import MoveEdit, ScaleEdit, SupportEdit, TurnEdit
 from f3sr.options import EDIT
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
@@ -203,11 +203,6 @@ def _is_over(point: Array, carrier: Compound) -> bool:
 def body_in_place(o: SceneObject) -> Compound:
     """What physics sees of an object, in the world [m]."""
     return placed(o.solids, o.T_world_asset)
-
-
-def turned(a: SceneObject, b: SceneObject) -> float:
-    """The angle [rad] between two poses of an object."""
-    return rotation_angle(b.T_world_object[:3, :3] @ a.T_world_object[:3, :3].T)
 
 
 def bodies_in_place(objects: Iterable[SceneObject]) -> dict[int, Compound]:

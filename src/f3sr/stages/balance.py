@@ -12,7 +12,7 @@ import numpy as np
 from f3sr.contact.compounds import placed
 from f3sr.contact.equilibrium import BodyMove, FootedBody, nearest_equilibrium
 from f3sr.contact.static_bodies import bodies_of
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array
 from f3sr.metrics.contact_groups import groups_of
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.scene import Scene, SceneObject
@@ -127,6 +127,5 @@ def _rougher(o: SceneObject, friction: float | None) -> SceneObject:
 
 
 def _move(before: SceneObject, after: SceneObject) -> BodyMove:
-    scale = after.scale / before.scale
-    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
-    return BodyMove(T=pose(R, after.T_world_object[:3, 3] - scale * R @ before.T_world_object[:3, 3]), scale=scale)
+    T, scale = before.motion_to(after)
+    return BodyMove(T=T, scale=scale)

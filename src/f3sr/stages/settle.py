@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from f3sr.core.transforms import Array, invert_pose, rotation_angle
+from f3sr.core.transforms import Array, invert_pose
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.physics import settling as physics_settling
 from f3sr.physics.mujoco_model import PhysicsConfig
@@ -97,7 +97,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         seconds=result.seconds,
         drifts={o.id: result.drifts[o.id] for o in scene},
         travel={a.id: _travel(a, b) for a, b in zip(scene, moved, strict=True)},
-        turns={a.id: _turn(a, b) for a, b in zip(scene, moved, strict=True)},
+        turns={a.id: a.angle_to(b) for a, b in zip(scene, moved, strict=True)},
         restless=result.moving,
         decisions=tuple(decisions),
     )
@@ -148,7 +148,3 @@ def _at(o: SceneObject, T_world_object: Array) -> SceneObject:
 
 def _travel(before: SceneObject, after: SceneObject) -> float:
     return float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))
-
-
-def _turn(before: SceneObject, after: SceneObject) -> float:
-    return rotation_angle(after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T)

@@ -60,6 +60,14 @@ def depth_errors(scene: Scene) -> dict[int, float]:
     }
 
 
+def moved_along_rays(seen: Scene, now: Scene) -> dict[int, float]:
+    """How far the distance of every object of ``now`` is from the one that was ``seen``, by id, in standard deviations
+    of that. A sensor sees no underside, so they are ``GEOMETRY_SIGMA`` at least."""
+    center, known = seen.camera.center, sigmas(seen)
+    before, after = ({o.id: float(np.linalg.norm(o.bounds_world.mean(0) - center)) for o in s} for s in (seen, now))
+    return {id: abs(float(np.log(after[id] / before[id]))) / max(known[id], GEOMETRY_SIGMA) for id in before}
+
+
 def _measured(o: SceneObject, geometry: Geometry, camera: Camera) -> float:
     return max(FINEST_SIGMA, SIGMA_OF_SPREAD * _residual(o, geometry, camera).spread)
 

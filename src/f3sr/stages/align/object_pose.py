@@ -13,7 +13,7 @@ import numpy as np
 
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import UP, Array, pose, rotation_about, turn_about
+from f3sr.core.transforms import UP, Array, rotation_about, turn_about
 from f3sr.mesh_poses.orientations import Orientation, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
@@ -410,7 +410,5 @@ def _textured(o: SceneObject, view: ObjectEvidence) -> SceneObject:
 
 def _as_one_motion(before: SceneObject, after: SceneObject, *, reason: str) -> SceneObject:
     """``before``, moved to where ``after`` is, with one note of it."""
-    scale = after.scale / before.scale
-    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
-    T = pose(R, after.T_world_object[:3, 3] - R @ (scale * before.T_world_object[:3, 3]))
+    T, scale = before.motion_to(after)
     return before.moved(T, scale=scale, stage="align", reason=reason)
