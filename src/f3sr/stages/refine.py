@@ -259,7 +259,7 @@ def _on_something_unseen(
             continue
         most = min(free, max(int(could_gain / UNSEEN), len(could_return)))
         start = state.scene.with_objects(*(seen.scene[id] for id in sorted(group)))
-        tried = retries.held(state.scene, start=start, moving=group, most=most)
+        tried = retries.held(state.scene, start=start, moving=frozenset(group), most=most)
         was = state
         state, told = _held(was, tried, group, could_return - elsewhere(tried.scene), apart)
         free -= len(_newly_fixed(group, was, state))
@@ -273,7 +273,7 @@ def _elsewhere(seen: Scene, scene: Scene) -> frozenset[int]:
 
 
 def _held(
-    state: SettledScene, tried: SettledScene, group: frozenset[int], returned: frozenset[int], apart: float
+    state: SettledScene, tried: SettledScene, group: set[int], returned: frozenset[int], apart: float
 ) -> tuple[SettledScene, list[Decision]]:
     """What was tried of a group, where each object that is held wins enough, or one is ``returned`` for each."""
     kept, decisions = list[Collection[int]](), list[Decision]()
