@@ -163,3 +163,25 @@ def test_what_is_given_to_rest_on_something_or_to_move_is_not_held(retries: Cont
 
 def test_nothing_is_held_that_contact_can_carry(planks: Scene, retries: ContactRetries):
     assert retries.held(planks, start=planks, moving=frozenset({0, 1}), most=2).scene is planks
+
+
+def test_what_falls_although_forces_balance_is_held(
+    planks: Scene, retries: ContactRetries, monkeypatch: pytest.MonkeyPatch
+):
+    """Physics, as it were, pushes away whichever plank is free: the lower one in the scene's order first."""
+    settled = ContactRetries._at_rest
+
+    def pushed(self: ContactRetries, scene: Scene) -> SettledScene:
+        rested = settled(self, scene)
+        free = [o for o in rested.scene if o.mobility == "dynamic"]
+        moved = (o.moved(pose(t=[0, 0.05, 0]), stage="test", reason="") for o in free)
+        return replace(rested, scene=rested.scene.with_objects(*moved))
+
+    monkeypatch.setattr(ContactRetries, "_at_rest", pushed)
+    both = frozenset({0, 1})
+    for most in (0, 1):
+        assert retries.held(planks, start=planks, moving=both, most=most).scene is planks
+    after = retries.held(planks, start=planks, moving=both, most=2).scene
+    assert [o.mobility for o in after] == ["fixed", "fixed"]
+    only = planks.with_objects(replace(planks[0], mobility_source="given"))
+    assert retries.held(only, start=only, moving=both, most=2).scene[0].mobility == "dynamic"

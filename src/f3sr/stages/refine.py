@@ -289,7 +289,7 @@ def _held(
         reason = f"visible IoU of its group rises by {gain:.2f} in all"
         if back := returned & g:
             reason += f"; {names_of(back)} would lie elsewhere"
-        reason += "; what carries it may be hidden, or lack a mask"
+        reason += "; what carries it may be hidden, lack a mask, or have another shape"
         decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
     if not kept:
         step = f"some of {names_of(group)} kept fixed where the photo shows them"
