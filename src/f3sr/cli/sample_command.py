@@ -67,7 +67,7 @@ def sample(
             rows.append(_row(drawn.sample, f"{number:03d}"))
         if not rows:
             raise F3srError(f"no sample of {package} rests on its masks")
-        told = {"scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
+        told: dict[str, Any] = {"scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
         told["spread"] = [_spread(o, kept) for o in content.scene if o.mobility == "dynamic"]
         told["held"] = [o.id for o in content.scene if o.mobility_source == "found"]
         claim.write(INDEX, dump_json(told))
