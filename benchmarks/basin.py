@@ -138,7 +138,7 @@ def placed(mesh: Mesh, rng: np.random.Generator) -> tuple[Camera, SceneObject]:
         mesh=mesh,
         T_world_object=pose(R, -(low + high) / 2 - [0, 0, (low - high)[2] / 2]),
     )
-    middle, size = o.bounds_world.mean(0), o.size
+    middle, size = o.middle, o.size
     K = np.array([[FOCAL, 0, PIXELS / 2], [0, FOCAL, PIXELS / 2], [0, 0, 1]])
     elevation = rng.uniform(*HEIGHTS)
     forward = np.array([0, math.cos(elevation), -math.sin(elevation)])
@@ -151,7 +151,7 @@ def disturbed(
     truth: SceneObject, kind: Start, camera: Camera, rng: np.random.Generator, config: AlignConfig
 ) -> tuple[SceneObject, bool]:
     """The object at a random start, and whether the way back lies inside the bounds that the start gives."""
-    middle = truth.bounds_world.mean(0)
+    middle = truth.middle
     direction, yaw, scale = (
         rng.uniform(0, 2 * math.pi),
         rng.uniform(-1, 1) * kind.yaw,
@@ -196,7 +196,7 @@ def _hiding(o: SceneObject, mask: Mask, camera: Camera, share: float, rng: np.ra
         edge * across - reach * along, edge * across + reach * along,
         (edge + reach) * across + reach * along, (edge + reach) * across - reach * along,
     ])  # fmt: skip
-    depth = CARD[0] * camera.to_camera(o.bounds_world.mean(0)[None])[0, 2]
+    depth = CARD[0] * camera.to_camera(o.middle[None])[0, 2]
     rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(camera.K).T
     vertices = np.concatenate([depth * rays, 0.99 * depth * rays])
     quads = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]

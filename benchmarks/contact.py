@@ -118,7 +118,7 @@ def after_proxies() -> list[str]:
 def measured(scene: Scene, start: Scene, folder: Path, objects: Path) -> Row:
     """All measures, physics at true scale where that is known, and how far objects are from where they stood."""
     known = truth.against_truth(scene, folder, objects) if (folder / "truth.json").exists() else {}
-    ways = [np.linalg.norm(o.bounds_world.mean(0) - start[o.id].bounds_world.mean(0)) / start[o.id].size for o in scene]
+    ways = [np.linalg.norm(o.middle - start[o.id].middle) / start[o.id].size for o in scene]
     return {
         **measures.measure(scene).as_dict(),
         **known,

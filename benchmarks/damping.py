@@ -83,7 +83,7 @@ def disturbed(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _moved(o: SceneObject, eye: Array, rng: np.random.Generator) -> SceneObject:
-    middle = o.bounds_world.mean(0)
+    middle = o.middle
     ray = (middle - eye) / np.linalg.norm(middle - eye)
     across = np.linalg.svd(ray[None])[2][1:]
     shift = o.size * (DEPTH * rng.normal() * ray + SIDEWAYS * rng.normal(size=2) @ across)
@@ -127,10 +127,10 @@ def slide(o: SceneObject, after: Mapping[int, SceneObject], scene: Scene) -> flo
     base = np.eye(4)
     if o.supported_by not in (None, GROUND):
         base = after[o.supported_by].T_world_object @ np.linalg.inv(scene[o.supported_by].T_world_object)
-    middle = o.bounds_world.mean(0)
+    middle = o.middle
     carried = base[:3, :3] @ middle + base[:3, 3]
     footprint = float(np.ptp(o.bounds_world[:, :2], axis=0).mean())
-    return float(np.linalg.norm((after[o.id].bounds_world.mean(0) - carried)[:2])) / footprint
+    return float(np.linalg.norm((after[o.id].middle - carried)[:2])) / footprint
 
 
 def rates_of(trials: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -86,7 +86,7 @@ def _errors(package: Package, folder: Path, objects: Path | None) -> Iterator[Er
     found = _against_meshes(package, folder, index, objects) if objects else _against_points(package, folder, index)
     for o, off in found:
         u = known[o.id]
-        ray = o.bounds_world.mean(0) - package.scene.camera.center
+        ray = o.middle - package.scene.camera.center
         ray /= np.linalg.norm(ray)
         along = float(off["middle"] @ ray)
         yield from (

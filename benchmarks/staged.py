@@ -88,7 +88,7 @@ def align_object(o: SceneObject, camera: Camera, *, resolution: int) -> tuple[Sc
 def staged_fit(o: SceneObject, camera: Camera, *, resolution: int) -> ObjectFit:
     """Equation 9 with the report's weights, bounds and priors."""
     freedom = ObjectFreedom(
-        anchor=o.bounds_world.mean(0),
+        anchor=o.middle,
         basis=camera.T_world_camera[:3, :2],
         reach=np.array([SHIFT * o.size, SHIFT * o.size, YAW, 0, 0, SCALE]),
     )

@@ -48,7 +48,7 @@ def judged(
     return {
         "far_pct": 100 * max(travel.values()),
         "farthest": max(travel, key=lambda id: travel[id]),
-        "left_scene": [o.id for o in scene if is_outside(o.bounds_world.mean(0), start)],
+        "left_scene": [o.id for o in scene if is_outside(o.middle, start)],
         "fallen": fallen(scene, true, objects),
         "overlaps_left": left[-1] if left else None,
         "crossing": pairs,
@@ -66,10 +66,7 @@ def weight(scene: Scene) -> float:
 
 def travels(scene: Scene, start: Scene) -> dict[int, float]:
     """How far the middle of every object is from where it came, as a share of the scene's diagonal."""
-    return {
-        o.id: float(np.linalg.norm(o.bounds_world.mean(0) - start[o.id].bounds_world.mean(0))) / start.diagonal
-        for o in scene
-    }
+    return {o.id: float(np.linalg.norm(o.middle - start[o.id].middle)) / start.diagonal for o in scene}
 
 
 def is_outside(point: Any, start: Scene) -> bool:

@@ -100,7 +100,7 @@ def turned(name: str, folder: Path, turns: list[float]) -> Iterator[Run]:
 
 
 def _turned(scene: Scene, o: SceneObject, yaw: float) -> Scene:
-    T = turn_about(o.bounds_world.mean(0), rotation_about(UP, yaw))
+    T = turn_about(o.middle, rotation_about(UP, yaw))
     return scene.with_objects(o.moved(T, stage="start", reason="turned"))
 
 

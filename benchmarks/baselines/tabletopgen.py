@@ -149,7 +149,7 @@ def filling(o: SceneObject, crop: Crop) -> SceneObject:
         pixels, _ = crop.camera.project(o.vertices_world)
         box = np.stack([pixels.min(0), pixels.max(0)])
         k = float(np.ptp(target, axis=0).max() / np.ptp(box, axis=0).max())
-        middle = o.bounds_world.mean(0)
+        middle = o.middle
         z = float(crop.camera.to_camera(middle[None])[0, 2])
         shift = (target.mean(0) - box.mean(0)) * z / np.diag(crop.camera.K)[:2]
         shift_world = crop.camera.T_world_camera[:3, :2] @ shift
@@ -173,7 +173,7 @@ def stacked(scene: Scene) -> Scene:
 
 
 def _about_middle(o: SceneObject, R: Array) -> SceneObject:
-    return o.moved(turn_about(o.bounds_world.mean(0), R), stage="tabletopgen", reason="rotation")
+    return o.moved(turn_about(o.middle, R), stage="tabletopgen", reason="rotation")
 
 
 def _box(mask: Mask) -> Array:

@@ -46,7 +46,7 @@ def test_tabletopgen_finds_angle_size_and_place_of_a_box_from_its_mask() -> None
     error = math.atan2(forward[1], forward[0]) - angle
     assert abs((error + math.pi / 2) % math.pi - math.pi / 2) < math.radians(1.5)  # half a turn changes no outline
     assert abs(found.scale / scene[0].scale - 1) < 0.02
-    assert np.linalg.norm(found.bounds_world.mean(0) - scene[0].bounds_world.mean(0)) < 0.02 * found.size
+    assert np.linalg.norm(found.middle - scene[0].middle) < 0.02 * found.size
 
 
 def test_tabletopgen_completes_what_a_nearer_mask_hides() -> None:
@@ -65,14 +65,14 @@ def test_tabletopgen_stands_a_tilted_box_upright_about_its_middle() -> None:
     o = box(0, size=SIZE, at=(0, 0, 0.2), R=rotation_about([1, 2, 0], 0.3))
     upright = tabletopgen.canonical(o)
     assert np.allclose(np.abs(upright.T_world_object[2, :3]), [0, 0, 1])
-    assert np.allclose(upright.bounds_world.mean(0), o.bounds_world.mean(0))
+    assert np.allclose(upright.middle, o.middle)
 
 
 def test_tabletopgen_puts_boxes_on_each_other_and_keeps_the_top_view() -> None:
     scene = scene_of(box(0, at=(0, 0, 0.4)), on(box(1, at=(0.03, 0.01, -0.2)), 0))
     stacked = tabletopgen.stacked(scene)
     assert np.allclose([o.bounds_world[0, 2] for o in stacked], [0, 0.1])
-    assert np.allclose(stacked[1].bounds_world.mean(0)[:2], [0.03, 0.01])
+    assert np.allclose(stacked[1].middle[:2], [0.03, 0.01])
 
 
 def test_pat3d_ends_a_known_overlap() -> None:
@@ -80,7 +80,7 @@ def test_pat3d_ends_a_known_overlap() -> None:
     scene = scene_of(box(0, at=(-0.035, 0, 0.05)), box(1, at=(0.035, 0, 0.05)))
     assert overlapping(scene) == [(0, 1)]
     prepared = pat3d.prepared(scene)
-    a, b = (o.bounds_world.mean(0) for o in prepared)
+    a, b = (o.middle for o in prepared)
     assert overlapping(prepared) == []
     assert math.isclose(b[0] - a[0], 0.1 + pat3d.GAP * scene.diagonal, rel_tol=1e-3)
     assert np.allclose((a + b)[:2], 0, atol=1e-9)
@@ -90,7 +90,7 @@ def test_pat3d_starts_a_child_above_its_parent_and_takes_along_what_it_carries()
     scene = scene_of(box(0), on(box(1, at=(0, 0, 0.12)), 0), on(box(2, at=(0, 0, 0.2)), 1))
     prepared = pat3d.prepared(scene)
     assert overlapping(prepared) == []
-    assert (np.diff([o.bounds_world.mean(0)[2] for o in prepared]) >= 0.1).all()
+    assert (np.diff([o.middle[2] for o in prepared]) >= 0.1).all()
 
 
 def test_pat3d_rests_where_the_layout_says_and_nothing_is_random() -> None:
@@ -105,7 +105,7 @@ def test_pat3d_rests_where_the_layout_says_and_nothing_is_random() -> None:
     assert min(r.loss for r in rounds) < 0.1 * rounds[0].loss
     assert overlapping(rested) == []
     assert rested[1].bounds_world[1, 0] < rested[0].bounds_world[1, 0] + 2e-3
-    assert np.allclose(rested[2].bounds_world.mean(0), [-0.4, 0, 0.05], atol=2e-3)
+    assert np.allclose(rested[2].middle, [-0.4, 0, 0.05], atol=2e-3)
 
 
 def test_pat3d_measures_errors_from_the_layout_and_from_the_parents_box() -> None:

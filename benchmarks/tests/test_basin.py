@@ -23,7 +23,7 @@ def test_a_start_is_as_far_off_as_it_says(kind, seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera, truth = basin.placed(MESH, rng)
     start, _ = basin.disturbed(truth, kind, camera, rng, AlignConfig())
-    (a, b), _ = camera.project(np.stack([truth.bounds_world.mean(0), _middle_of(start, truth)]))
+    (a, b), _ = camera.project(np.stack([truth.middle, _middle_of(start, truth)]))
     assert np.linalg.norm(a - b) == pytest.approx(kind.shift, rel=1e-6)
     assert rotation_angle(start.T_world_object[:3, :3] @ truth.T_world_object[:3, :3].T) <= kind.yaw
     assert abs(start.scale / truth.scale - 1) <= kind.scale
@@ -32,7 +32,7 @@ def test_a_start_is_as_far_off_as_it_says(kind, seed: int) -> None:
 def _middle_of(moved, original) -> np.ndarray:
     """Where the middle of an object's box went."""
     inverse = np.linalg.inv(original.T_world_asset)
-    return (moved.T_world_asset @ inverse @ [*original.bounds_world.mean(0), 1])[:3]
+    return (moved.T_world_asset @ inverse @ [*original.middle, 1])[:3]
 
 
 def test_an_object_rests_in_the_middle_of_its_picture() -> None:

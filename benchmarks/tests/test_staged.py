@@ -29,7 +29,7 @@ def scene() -> Scene:
 
 
 def disturbed(o: SceneObject, *, shift: Array, yaw: float, scale: float) -> SceneObject:
-    middle, R = o.bounds_world.mean(0), rotation_about([0, 0, 1], yaw)
+    middle, R = o.middle, rotation_about([0, 0, 1], yaw)
     return o.moved(pose(R, middle + shift - R @ (scale * middle)), scale=scale, stage="test", reason="disturbed")
 
 
@@ -58,7 +58,7 @@ def test_what_no_search_can_reach_stays_within_the_bounds() -> None:
     s = scene()
     far = disturbed(s[0], shift=np.array([1.5 * s[0].size, 0, 0]), yaw=0.0, scale=1.0)
     end, _ = aligned(replace(s[0], mask=full_silhouette(far, s.camera)), s)
-    moved = np.linalg.norm(end.bounds_world.mean(0) - s[0].bounds_world.mean(0))
+    moved = np.linalg.norm(end.middle - s[0].middle)
     assert moved <= math.sqrt(2) * staged.SHIFT * s[0].size + 1e-9
     assert abs(end.scale / s[0].scale - 1) <= staged.SCALE + 1e-9
 

@@ -287,8 +287,7 @@ class Retry:
 
 
 def _fell(before: SceneObject, after: SceneObject) -> bool:
-    way = np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0))
-    return bool(way > FALL * before.size)
+    return bool(np.linalg.norm(before.way_to(after)) > FALL * before.size)
 
 
 def _guessed(scene: Scene) -> list[int]:

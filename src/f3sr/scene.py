@@ -234,6 +234,11 @@ class SceneObject:
         return bounds_of(self.vertices_world)
 
     @property
+    def middle(self) -> Array:
+        """Middle (3,) of the world bounding box [m]."""
+        return self.bounds_world.mean(0)
+
+    @property
     def size(self) -> float:
         """Diagonal of the world bounding box [m]."""
         return float(np.linalg.norm(self.bounds_world[1] - self.bounds_world[0]))
@@ -280,7 +285,7 @@ class SceneObject:
         T_new = np.eye(4)
         T_new[:3, :3] = R @ self.T_world_object[:3, :3]
         T_new[:3, 3] = R @ (scale * self.T_world_object[:3, 3]) + t
-        center = self.bounds_world.mean(0)
+        center = self.middle
         shift = R @ (scale * center) + t - center
         note = Motion(
             stage=stage,
@@ -298,6 +303,10 @@ class SceneObject:
         T[:3, :3] = other.T_world_object[:3, :3] @ self.T_world_object[:3, :3].T
         T[:3, 3] = other.T_world_object[:3, 3] - T[:3, :3] @ (scale * self.T_world_object[:3, 3])
         return T, scale
+
+    def way_to(self, other: SceneObject) -> Array:
+        """From the middle of its box to where another scene has that, (3,) [m]."""
+        return other.middle - self.middle
 
     def angle_to(self, other: SceneObject) -> float:
         """The turn [rad] to how another scene has the object."""

@@ -117,7 +117,7 @@ def _row(sample: Sample, name: str) -> dict[str, Any]:
 def _spread(o: SceneObject, samples: list[Sample]) -> dict[str, Any]:
     """Root mean squares of how far an object is from where the package has it."""
     ends = [s.scene[o.id] for s in samples]
-    away = [np.linalg.norm(e.bounds_world.mean(0) - o.bounds_world.mean(0)) for e in ends]
+    away = [np.linalg.norm(o.way_to(e)) for e in ends]
     turns = [o.angle_to(e) for e in ends]
     sizes = [np.log(e.scale / o.scale) for e in ends]
     rms = [float(np.sqrt(np.mean(np.square(v)))) for v in (away, turns, sizes)]

@@ -143,7 +143,7 @@ def _moved(
 def _asked(there: Put, landed: Landed, edit: Edit, number: int) -> Decision:
     """Whether an object is where it was put."""
     put_there, now = there.scene[edit.id], landed.scene[edit.id]
-    off, turn = _off(put_there, now), put_there.angle_to(now)
+    off, turn = put_there.way_to(now), put_there.angle_to(now)
     resting = f"rests on {_carriers(now)}" if now.mobility == "dynamic" else "is fixed"
     if there.note:
         return Decision(choice=f"edit {number}: {there.note}", reason=resting, about=edit.id, fallback=True)
@@ -162,7 +162,7 @@ def _others(
     """Objects that came to move by an edit of another one."""
     found = list[Decision]()
     for id in sorted(landed.moving - {but}):
-        off, turn = _off(was[id], landed.scene[id]), was[id].angle_to(landed.scene[id])
+        off, turn = was[id].way_to(landed.scene[id]), was[id].angle_to(landed.scene[id])
         if np.linalg.norm(off) > TOLD or turn > TOLD_TURN:
             verb = "fell" if id in fallen else "moved"
             choice = f"edit {number}: {verb} too, to {_where(off, turn)} where it was"
@@ -203,11 +203,6 @@ def _applied(landed: Landed, there: Put, decisions: list[Decision], number: int,
         for id in sorted(landed.restless)
     ]
     return Applied(scene=_described(landed.scene, config), decisions=(*decisions, *told), given=there.placed)
-
-
-def _off(a: SceneObject, b: SceneObject) -> Array:
-    """(3,) [m]: from the middle of one box to that of the other."""
-    return b.bounds_world.mean(0) - a.bounds_world.mean(0)
 
 
 def _where(off: Array, turn: float) -> str:
@@ -283,7 +278,7 @@ def _staying(scene: Scene, id: int, config: Config) -> Scene | None:
     after = settled(scene, sorted(k for k in group if scene[k].mobility == "dynamic"), config)
     margin = config.settle.physics.contact.body
     stays = not after.restless and all(
-        np.linalg.norm(_off(scene[k], after.scene[k])) <= margin and scene[k].angle_to(after.scene[k]) <= STAYS_TURN
+        np.linalg.norm(scene[k].way_to(after.scene[k])) <= margin and scene[k].angle_to(after.scene[k]) <= STAYS_TURN
         for k in group
     )
     if not stays:

@@ -66,7 +66,7 @@ def _similarity(scene: Scene, o: SceneObject, edit: MoveEdit | TurnEdit | Suppor
     if isinstance(edit, MoveEdit):
         return pose(t=edit.by), 1.0, ""
     if isinstance(edit, TurnEdit):
-        return turn_about(o.bounds_world.mean(0), _rotation(edit)), 1.0, ""
+        return turn_about(o.middle, _rotation(edit)), 1.0, ""
     return _onto(scene, o, edit.on)
 
 
@@ -151,7 +151,7 @@ def _onto(scene: Scene, o: SceneObject, on: int) -> tuple[Array, float, str]:
         if NEAREST <= k <= FARTHEST:
             return camera.homothety(k), k, ""
         return pose(t=-body.lowest * UP), 1.0, "its viewing ray does not meet the ground; lowered from where it was"
-    carrier, middle = body_in_place(scene[on]), o.bounds_world.mean(0)
+    carrier, middle = body_in_place(scene[on]), o.middle
     tried = np.geomspace(NEAREST, FARTHEST, PLACES)
     best: tuple[float, float, float] | None = None
     for _ in range(2):
@@ -164,7 +164,7 @@ def _onto(scene: Scene, o: SceneObject, on: int) -> tuple[Array, float, str]:
     if best is not None:
         _, k, height = best
         return pose(t=-height * UP) @ camera.homothety(k), k, ""
-    aside = np.append((scene[on].bounds_world.mean(0) - middle)[:2], 0.0)
+    aside = np.append((scene[on].middle - middle)[:2], 0.0)
     height = _above(body.moved(pose(t=aside)), carrier)
     down = height if math.isfinite(height) else 0.0
     return pose(t=aside - down * UP), 1.0, f"its viewing ray passes {name_of(on)}; put over the middle of it"

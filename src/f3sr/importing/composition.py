@@ -126,7 +126,7 @@ def _ground(composition: Composition, objects: list[SceneObject]) -> list[SceneO
     """The ground as a large square under the scene."""
     if composition.ground is None:
         return []
-    middle = np.mean([o.bounds_world.mean(0) for o in objects], axis=0)
+    middle = np.mean([o.middle for o in objects], axis=0)
     side = GROUND_REACH * float(np.linalg.norm(middle - composition.camera.center))
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * side
     corners += [middle[0], middle[1], composition.ground]

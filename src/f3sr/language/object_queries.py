@@ -166,7 +166,7 @@ class Sight:
     def _depths(self) -> dict[int, float]:
         """Logarithms of the distances [m] from the camera along the ground, of the middles of bounding boxes."""
         eye = self.scene.camera.T_world_camera[:3, 3]
-        flat = {o.id: float(np.linalg.norm((o.bounds_world.mean(0) - eye)[:2])) for o in self.scene}
+        flat = {o.id: float(np.linalg.norm((o.middle - eye)[:2])) for o in self.scene}
         return {id: float(np.log(max(d, 1e-9))) for id, d in flat.items()}
 
     @cached_property

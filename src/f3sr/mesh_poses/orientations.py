@@ -141,7 +141,7 @@ def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:
 
 
 def _tried(o: SceneObject, fit: ObjectFit, R: Array, side: int) -> Orientation:
-    T = turn_about(o.bounds_world.mean(0), R)
+    T = turn_about(o.middle, R)
     turned = _turned(fit, T)
     u = turned.seed(0.0)
     return Orientation(T=T, u=u, value=turned.value(u), side=side)

@@ -243,7 +243,7 @@ class PoseSearch:
     def _fit(self, o: SceneObject, reach: tuple[float, float, float, float], *, coarse: bool = False) -> ObjectFit:
         shift, yaw, tilt, scale = reach
         freedom = ObjectFreedom(
-            anchor=o.bounds_world.mean(0),
+            anchor=o.middle,
             basis=self.view.camera.T_world_camera[:3, :2],
             reach=np.array([shift * o.size, shift * o.size, yaw, tilt, tilt, scale]),
         )

@@ -133,7 +133,7 @@ def _fit(scene: Scene, config: ForeignCameraConfig, max_faces: int) -> Instances
     small = scene.camera.limited(config.resolution)
     masks = [(o, resample(o.mask, small.width, small.height)) for o in scene]
     shown = [(outlined(o, max_faces), mask) for o, mask in masks if mask.any()]
-    middle = np.median([o.bounds_world.mean(0) for o in scene], axis=0)
+    middle = np.median([o.middle for o in scene], axis=0)
     center = scene.camera.to_camera(middle[None])[0]
     shift = config.max_translation * float(np.linalg.norm(center))
     return InstancesFit(

@@ -95,7 +95,7 @@ def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0, cen
     spec = empty_spec(RELEASE_PHYSICS, ground_friction=RELEASE_FRICTION[0])
     for o in sorted(objects, key=lambda o: o.mask_name):
         name = body_name(o.id)
-        origin = true_scale * o.bounds_world.mean(0) if centred else np.zeros(3)
+        origin = true_scale * o.middle if centred else np.zeros(3)
         body = spec.worldbody.add_body(name=name, pos=origin)
         if o.mobility != "fixed":
             body.add_freejoint(name=name)

@@ -266,7 +266,7 @@ class _Coarsening:
             most = min(LOSS_TO_WITHSTAND, LOSS - mean_gain(ids, was, there))
             stays = bool(effect.restless) or effect.loss > most
             for id in sorted(ids & fallen.keys()):
-                travel = f"{1000 * _travel(self.scene[id], scene[id]):.0f} mm"
+                travel = f"{1000 * np.linalg.norm(self.scene[id].way_to(scene[id])):.0f} mm"
                 self._told.append(_on_soft_contacts(id, travel, effect, stays=stays))
             if not stays:
                 self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
@@ -294,7 +294,7 @@ class _Coarsening:
         """Objects that fall or slide on soft contacts, where they end, by id."""
         ends = soft_release(scene.objects, SOFT_TRAVEL)
         moved = {id: _ended(scene[id], T) for id, T in ends.items() if id not in self._restless}
-        return {id: o for id, o in moved.items() if _travel(scene[id], o) > SOFT_TRAVEL}
+        return {id: o for id, o in moved.items() if np.linalg.norm(scene[id].way_to(o)) > SOFT_TRAVEL}
 
     def _effects(
         self, after: Scene, among: frozenset[int], restless: frozenset[int]
@@ -343,11 +343,6 @@ def _on_soft_contacts(id: int, travel: str, effect: _Effect, *, stays: bool) -> 
         reason = "rested on stiff contacts only: it fell or slid on soft ones, which others have"
     choice = "stays" if stays else f"moved by {travel}"
     return Decision(choice=choice, reason=reason, about=id, fallback=stays and not effect.restless)
-
-
-def _travel(before: SceneObject, after: SceneObject) -> float:
-    """Of the middle [m]."""
-    return float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))
 
 
 def _noted(before: SceneObject, after: SceneObject) -> SceneObject:

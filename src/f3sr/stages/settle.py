@@ -96,7 +96,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         at_rest=result.at_rest,
         seconds=result.seconds,
         drifts={o.id: result.drifts[o.id] for o in scene},
-        travel={a.id: _travel(a, b) for a, b in zip(scene, moved, strict=True)},
+        travel={a.id: float(np.linalg.norm(a.way_to(b))) for a, b in zip(scene, moved, strict=True)},
         turns={a.id: a.angle_to(b) for a, b in zip(scene, moved, strict=True)},
         restless=result.moving,
         decisions=tuple(decisions),
@@ -144,7 +144,3 @@ def _name(id: int | None) -> str:
 def _at(o: SceneObject, T_world_object: Array) -> SceneObject:
     T = T_world_object @ invert_pose(o.T_world_object)
     return o if np.array_equal(T_world_object, o.T_world_object) else o.moved(T, stage="settle", reason="came to rest")
-
-
-def _travel(before: SceneObject, after: SceneObject) -> float:
-    return float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))

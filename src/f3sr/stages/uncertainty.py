@@ -49,7 +49,7 @@ def uncertainty(scene: Scene, config: UncertaintyConfig | None = None) -> tuple[
     poses: dict[int, PoseUncertainty] = {}
     for o in scene:
         if o.mobility == "dynamic":
-            ray = o.bounds_world.mean(0) - scene.camera.center
+            ray = o.middle - scene.camera.center
             # No photo shows the far side of a shape; the middle lies half between it and the near side.
             hidden = np.diag([(config.shape * o.size / 2) ** 2] * 3 + [0.0] * 4)
             poses[o.id] = PoseUncertainty.of(covariance[o.id] + hidden, conditional[o.id], ray / np.linalg.norm(ray))

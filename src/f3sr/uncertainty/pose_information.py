@@ -96,7 +96,7 @@ def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyCon
     window = window_around(o, camera, config.resolution)
     mask, region = (sampled(m, camera, window, fill=False) for m in (o.mask, valid))
     velocities = np.concatenate([
-        similarity_velocities(o.bounds_world.mean(0), window), intrinsics_velocities(camera)
+        similarity_velocities(o.middle, window), intrinsics_velocities(camera)
     ])  # fmt: skip
     target = Target.of(mask, region, LossWeights())
     light = outlined(o, config.max_faces)
@@ -118,7 +118,7 @@ def of_picture(o: SceneObject, scene: Scene, valid: Mask, config: UncertaintyCon
 
 def of_depth(o: SceneObject, camera: Camera, sigma: float) -> Array:
     """(7, 7): the logarithm of the distance to the front of an object, known to ``sigma``."""
-    middle = o.bounds_world.mean(0)
+    middle = o.middle
     ray = middle - camera.center
     distance = float(np.linalg.norm(ray))
     ray = ray / distance
@@ -149,7 +149,7 @@ def _add_contacts(
 
 def _motion_of(point: Array, o: SceneObject) -> Array:
     """(3, 7): how a point of an object moves with its pose."""
-    r = point - o.bounds_world.mean(0)
+    r = point - o.middle
     return np.column_stack([np.eye(3), -skew(r), r])
 
 

@@ -204,11 +204,11 @@ class _Poses:
         Its four parameters, a horizontal shift, a turn about the vertical and the logarithm of the scale, are known by
         what is known of all these objects together."""
         objects = [self.base[id] for id in ids]
-        pivot = np.mean([o.bounds_world.mean(0) for o in objects], axis=0) * [1, 1, 0]
+        pivot = np.mean([o.middle for o in objects], axis=0) * [1, 1, 0]
         known = np.zeros((4, 4))
         for o in objects:
             if o.id in self.roots:
-                A = _as_pose(o.bounds_world.mean(0) - pivot)
+                A = _as_pose(o.middle - pivot)
                 known += A.T @ np.linalg.pinv(self.roots[o.id] @ self.roots[o.id].T) @ A
         root = _root(np.asarray(np.linalg.pinv(known), float))
 
@@ -242,7 +242,7 @@ class _Poses:
             if o.mobility == "fixed":
                 continue
             q = self.roots[id] @ x[id] if id in x else np.zeros(7)
-            T, scale = similarity(q, o.bounds_world.mean(0))
+            T, scale = similarity(q, o.middle)
             corners = self.corners[id]
             foot = corners[np.argmin(corners[:, 2])]
             rise = self._rise(o, foot, moves)

@@ -53,9 +53,7 @@ def depth_errors(scene: Scene) -> dict[int, float]:
         return dict.fromkeys((o.id for o in scene), 0.0)
     found = {o.id: _residual(o, geometry, scene.camera) for o in scene}
     return {
-        o.id: found[o.id].size * float(np.linalg.norm(o.bounds_world.mean(0) - scene.camera.center))
-        if found[o.id].pixels
-        else 0.0
+        o.id: found[o.id].size * float(np.linalg.norm(o.middle - scene.camera.center)) if found[o.id].pixels else 0.0
         for o in scene
     }
 
@@ -64,7 +62,7 @@ def moved_along_rays(seen: Scene, now: Scene) -> dict[int, float]:
     """How far the distance of every object of ``now`` is from the one that was ``seen``, by id, in standard deviations
     of that. A sensor sees no underside, so they are ``GEOMETRY_SIGMA`` at least."""
     center, known = seen.camera.center, sigmas(seen)
-    before, after = ({o.id: float(np.linalg.norm(o.bounds_world.mean(0) - center)) for o in s} for s in (seen, now))
+    before, after = ({o.id: float(np.linalg.norm(o.middle - center)) for o in s} for s in (seen, now))
     return {id: abs(float(np.log(after[id] / before[id]))) / max(known[id], GEOMETRY_SIGMA) for id in before}
 
 

@@ -51,7 +51,7 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     small = scene.camera.limited(config.resolution)
     masks = (resample(o.mask, small.width, small.height) for o in scene)
     union = union_of(masks, (small.height, small.width))
-    center = small.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
+    center = small.to_camera(np.mean([o.middle for o in scene], axis=0)[None])[0]
     shift = step.translation * float(np.linalg.norm(center))
     tilt, height = min(step.rotation, scene.ground.tilt_error), min(shift, scene.ground.height_error)
     reach = [tilt, tilt, step.rotation, shift, shift, height] + [FOCAL_RANGE] * focal

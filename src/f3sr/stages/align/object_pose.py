@@ -397,7 +397,7 @@ def _blind_axes(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> I
 
 def _about_middle(o: SceneObject, R: Array) -> Array:
     """The turn (4, 4) by R (3, 3) about an object's middle."""
-    return turn_about(o.bounds_world.mean(0), R)
+    return turn_about(o.middle, R)
 
 
 def _turned_by(o: SceneObject, T: Array) -> SceneObject:

@@ -139,7 +139,7 @@ class Picture:
 
     def _down(self, o: SceneObject) -> Array:
         """Unit vector (2,) of gravity in the picture at an object's middle."""
-        middle = o.bounds_world.mean(0)
+        middle = o.middle
         points, _ = self.camera.project(np.stack([middle, middle - [0, 0, 0.05 * o.size]]))
         d = points[1] - points[0]
         length = float(np.linalg.norm(d))

@@ -83,7 +83,7 @@ class Placement:
         """Move a body by d (3,) [m]. What of it is along the viewing ray also scales the body, so it looks the same.
 
         What stands on the ground keeps its size, and so its height."""
-        ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
+        ray = self.place(id, self.scene[id].middle) - self.scene.camera.center
         away = 0.0 if self.scene[id].supported_by == GROUND else float(d @ ray) / float(ray @ ray)
         self.along_rays((id,), 1 + away)
         self.move((id,), d - away * ray)
@@ -121,12 +121,12 @@ class Placement:
 
     def distance(self, id: int) -> float:
         """Distance from the camera to the centre of a body [m]."""
-        place = self.place(id, self.scene[id].bounds_world.mean(0))
+        place = self.place(id, self.scene[id].middle)
         return float(np.linalg.norm(place - self.scene.camera.center))
 
     def travel(self, id: int) -> float:
         """Distance that the centre of a body has moved [m]."""
-        middle = self.scene[id].bounds_world.mean(0)
+        middle = self.scene[id].middle
         return float(np.linalg.norm(self.place(id, middle) - middle))
 
     def place(self, id: int, point: Array) -> Array:
@@ -136,7 +136,7 @@ class Placement:
     def loss(self, id: int) -> Array:
         """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d)."""
         o = self.scene[id]
-        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
+        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.middle))
 
     def picture(self, id: int) -> Array:
         """``loss`` in the unit of PICTURE_SIGMA: less where the object misses its mask, and so is known badly."""
@@ -157,7 +157,7 @@ class Placement:
 
     def depth_loss(self, id: int) -> Array:
         """Metric (3, 3) of the geometry in the unit of ``picture``: rank 1, along the viewing ray."""
-        ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
+        ray = self.place(id, self.scene[id].middle) - self.scene.camera.center
         known = PICTURE_SIGMA / self.depth_sigma[id] / float(ray @ ray)
         return known**2 * np.outer(ray, ray)
 
