@@ -18,7 +18,7 @@ from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
-from f3sr.stages.balance import Footed, balance, with_held
+from f3sr.stages.balance import Footed, balance
 from f3sr.stages.close import close, lowered
 from f3sr.stages.refine import GAIN, UPRIGHT, moved_off_masks
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
@@ -104,37 +104,38 @@ class ContactRetries:
         Those are what no forces balance. Where there is no such object, they are what fell although they do. Where
         there is none either, or more than ``most``, all is as before."""
         retry = Retry.of_moving(before, start, moving)
-        costs = self._costs(retry.scene)
         may_hold = [id for id in moving if before.may_be_unsupported(id)]
-        held = with_held(
-            retry.scene,
-            costs,
-            self._contact,
+        seek = partial(
+            balance,
+            costs=self._costs(retry.scene),
+            contact=self._contact,
             footed=self._footed,
             guessed=_guessed(retry.scene),
-            may_hold=may_hold,
-            most=most,
         )
-        if held is retry.scene and any(_fell(start[id], before[id]) for id in may_hold):
-            held = self._with_fallen_held(retry.scene, costs, may_hold, most)
-        if held is None or held is retry.scene:
+        placed = seek(retry.scene, may_hold=may_hold, most=most)
+        are_carried = placed is not retry.scene and not _fixed(retry.scene, placed)
+        if are_carried and any(_fell(start[id], before[id]) for id in may_hold):
+            placed = self._with_fallen_held(retry.scene, placed, seek, may_hold, most)
+        if not _fixed(retry.scene, placed):
             return SettledScene(scene=before, restless=frozenset())
-        return self._ended(retry, self._nearest_balance(held, costs), won_back=WON_BACK_BALANCED)
+        return self._ended(retry, self._on_best_footings(placed), won_back=WON_BACK_BALANCED)
 
     def _with_fallen_held(
-        self, scene: Scene, costs: Mapping[int, Array], may_hold: Collection[int], most: int
-    ) -> Scene | None:
-        """The scene with objects fixed that physics moves away from their equilibrium: one by one the lowest of those
-        that fall. None where more than ``most`` would be fixed."""
-        for _ in range(most + 1):
-            placed = balance(scene, costs, self._contact, footed=self._footed, guessed=_guessed(scene))
+        self, scene: Scene, placed: Scene, seek: Callable[[Scene], Scene], may_hold: Collection[int], most: int
+    ) -> Scene:
+        """The scene in balance with objects fixed that physics moves away from there, one by one the lowest of those
+        that fall; ``placed`` is its equilibrium without. The scene as it is where more than ``most`` would be fixed."""
+        free = scene
+        for left in range(most, -1, -1):
             rested = self._at_rest(placed).scene
             fallen = (id for id in scene.supports_first if id in may_hold and _fell(placed[id], rested[id]))
             lowest = next(fallen, None)
             if lowest is None:
-                return scene
-            scene = scene.with_objects(scene[lowest].on_something_unseen())
-        return None
+                return placed
+            if left:
+                scene = scene.with_objects(scene[lowest].on_something_unseen())
+                placed = seek(scene)
+        return free
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
@@ -201,11 +202,17 @@ class ContactRetries:
         apart: bool = False,
         start: Scene | None = None,
     ) -> SettledScene:
-        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
-
-        The second kind is not asked where all groups rest on the first and show what they show in balance."""
+        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
         guessed = _guessed(scene) if rougher else []
         placed = balance(scene, costs, self._contact, footed=self._footed, apart=apart, start=start, guessed=guessed)
+        return self._on_best_footings(placed, finished)
+
+    def _on_best_footings(
+        self, placed: Scene, finished: Callable[[Scene], Scene] = lambda scene: scene
+    ) -> SettledScene:
+        """Contact groups in balance at rest, each on the better of two kinds of footings.
+
+        The second kind is not asked where all groups rest on the first and show what they show in balance."""
         rested, shown = self._at_rest(finished(placed)), SettledScene(scene=placed, restless=frozenset()).scores
         groups = groups_of(placed, rested.scene, self._contact.apart)
         if not rested.restless and all(mean_gain(g, shown, rested.scores) > -GAIN for g in groups):
@@ -284,6 +291,10 @@ class Retry:
         lost = {id for g in groups if g & self.moving and mean_gain(g & self.moving, was, now) < -won_back for id in g}
         back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
         return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
+
+
+def _fixed(before: Scene, after: Scene) -> bool:
+    return any(before[o.id].mobility != o.mobility for o in after)
 
 
 def _fell(before: SceneObject, after: SceneObject) -> bool:

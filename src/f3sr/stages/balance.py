@@ -36,6 +36,8 @@ def balance(
     apart: bool = False,
     start: Scene | None = None,
     guessed: Collection[int] = (),
+    may_hold: Collection[int] = (),
+    most: int = 0,
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
@@ -44,59 +46,34 @@ def balance(
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
     ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
     group would slide from there.
+
+    A group without an equilibrium near it gets one with objects fixed as if something unseen carried them, of those
+    that it ``may_hold``, by id: one by one that without which least is left unbalanced. Where that would be more than
+    ``most`` in all, the scene is returned as it is.
     """
-    bodies = bodies_of(scene)
+    came, left = scene, most
+    free = scene
     for group in _groups(scene, costs, contact):
-        found = nearest_equilibrium(
-            bodies,
-            {id: costs[id] for id in group},
+        seek = partial(
+            nearest_equilibrium,
+            precisions={id: costs[id] for id in group},
             clearance=contact.clearance,
             ground_friction=scene.ground.friction,
             apart=apart,
             start={id: _move(scene[id], start[id]) for id in group} if start else None,
-            footings=partial(_footings, scene, footed),
             guessed=[id for id in group if id in guessed],
+            may_hold=[id for id in group if id in may_hold],
         )
+        while (found := seek(bodies_of(free), footings=partial(_footings, scene, footed))).unheld is not None:
+            if not left:
+                return came
+            left -= 1
+            free, scene = (s.with_objects(s[found.unheld].on_something_unseen()) for s in (free, scene))
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)
         moved = _moved(scene, found.moves, told)
         footed_objects = (replace(moved[k], parts=there[k].parts, footing=there[k].footing) for k in group)
         scene = moved.with_objects(*(_rougher(o, found.friction.get(o.id)) for o in footed_objects))
-    return scene
-
-
-def with_held(
-    scene: Scene,
-    costs: Mapping[int, Array],
-    contact: ContactMargin,
-    *,
-    footed: Footed,
-    guessed: Collection[int] = (),
-    may_hold: Collection[int],
-    most: int,
-) -> Scene | None:
-    """The scene with objects fixed where it has them, as if something unseen carried them: one by one those without
-    which their contact group has no equilibrium near it. None where more than ``most`` would be fixed.
-
-    It ``may_hold`` some objects, by id; the other arguments are those of ``balance``."""
-    held = 0
-    for group in _groups(scene, costs, contact):
-        while True:
-            found = nearest_equilibrium(
-                bodies_of(scene),
-                {id: costs[id] for id in group},
-                clearance=contact.clearance,
-                ground_friction=scene.ground.friction,
-                footings=partial(_footings, scene, footed),
-                guessed=[id for id in group if id in guessed],
-                may_hold=[id for id in group if id in may_hold],
-            )
-            if found.unheld is None:
-                break
-            held += 1
-            if held > most:
-                return None
-            scene = scene.with_objects(scene[found.unheld].on_something_unseen())
     return scene
 
 
