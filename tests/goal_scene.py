@@ -25,12 +25,12 @@ CARTON, CAN, BALL, CRATE, BLOCK, LID = range(6)
 
 def goal_scene() -> Scene:
     return scene_of(
-        _thing(CARTON, "cereal box", box(0, size=(0.1, 0.05, 0.2)).mesh, (-0.25, 0.0, 0.1)),
-        _thing(CAN, "soup can", _prism(0.033, 0.1), (0.25, 0.1, 0.05)),
-        _thing(BALL, "tennis ball", ball_mesh(0.032, rings=16), (0.0, -0.1, 0.032)),
+        thing(CARTON, "cereal box", box(0, size=(0.1, 0.05, 0.2)).mesh, (-0.25, 0.0, 0.1)),
+        thing(CAN, "soup can", _prism(0.033, 0.1), (0.25, 0.1, 0.05)),
+        thing(BALL, "tennis ball", ball_mesh(0.032, rings=16), (0.0, -0.1, 0.032)),
         _crate(CRATE, "crate", (0.0, 0.25, 0.0)),
-        _thing(BLOCK, "wooden block", box(0, size=(0.12, 0.12, 0.06)).mesh, (0.2, -0.2, 0.03)),
-        _thing(LID, "sponge", box(0, size=(0.06, 0.05, 0.03)).mesh, (0.2, -0.2, 0.075 + GAP), on=BLOCK),
+        thing(BLOCK, "wooden block", box(0, size=(0.12, 0.12, 0.06)).mesh, (0.2, -0.2, 0.03)),
+        thing(LID, "sponge", box(0, size=(0.06, 0.05, 0.03)).mesh, (0.2, -0.2, 0.075 + GAP), on=BLOCK),
     )
 
 
@@ -52,7 +52,8 @@ def _written() -> dict[str, bytes]:
         return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
-def _thing(id: int, label: str, mesh: Mesh, at: Sequence[float], *, on: int = GROUND) -> SceneObject:
+def thing(id: int, label: str, mesh: Mesh, at: Sequence[float], *, on: int = GROUND) -> SceneObject:
+    """An object as its label has it, with its middle at a place (3,) [m] one gap higher."""
     o = box(id, label=label)
     return replace(
         o,
@@ -83,7 +84,7 @@ def _crate(id: int, label: str, at: Sequence[float], side: float = 0.16, height:
     vertices = np.concatenate([p.vertices for p in parts])
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
     faces = np.concatenate([p.faces + k for p, k in zip(parts, starts, strict=True)]).astype(np.int32)
-    o = _thing(id, label, box(0).mesh, at)
+    o = thing(id, label, box(0).mesh, at)
     return replace(o, mesh=Mesh(vertices=vertices, faces=faces), parts=parts)
 
 

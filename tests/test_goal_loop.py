@@ -47,6 +47,7 @@ from f3sr.language.reasoner import at_rest, declared, semantics_of
 from f3sr.launches.flights import dropping
 from f3sr.launches.launch_context import LaunchContext
 from f3sr.physics.mujoco_model import body_of
+from f3sr.physics.restitution import LEAST
 from f3sr.play import rollout_folder
 from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
 from f3sr.play.rule_based_language import Rules
@@ -55,7 +56,7 @@ from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
 from f3sr.scene_package.package import Package
 from f3sr.scene_package.scene_json import dump_json
-from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene
+from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene, thing
 from plans import changed
 from scenes import box
 
@@ -189,6 +190,36 @@ def test_a_bounce_touches_the_ground_before_its_target(package: Package) -> None
     ground = [t for t in found.rollout.touches(BALL, GROUND)["time"] if t > 0.1]
     assert ground[0] < found.rollout.touches(BALL, CARTON)["time"][0]
     assert next(s for s in found.plan.phases[0].semantics if s.id == BALL).restitution == pytest.approx(0.74)
+
+
+def test_on_a_table_a_bounce_touches_the_table_before_its_target(tmp_path: Path) -> None:
+    """What carries both is the floor: things on a table do not fall off it first. What holds one of them is none."""
+    scene, high, table = goal_scene(), 0.4, 6
+    slab = thing(table, "table", box(0, size=(0.9, 0.9, high)).mesh, (0.0, 0.0, high / 2))
+    lifted = (replace(o, T_world_object=pose(t=[0.0, 0.0, high + GAP]) @ o.T_world_object) for o in scene)
+    on_it = (
+        replace(o, supports=(Support(id=table),), supported_by=table) if o.supported_by == GROUND else o for o in lifted
+    )
+    scene = replace(scene, objects=(*on_it, slab))
+    assert [SceneLayout(scene).floor_of(a, b) for a, b in ((BALL, CARTON), (LID, BALL), (BALL, table))] == [
+        *(table, table, GROUND)
+    ]
+    package = goal_package(tmp_path / "package", scene)
+    found = played(package, "bounce the ball into the cereal box")
+    bounced = next(c for c in found.verdict.conditions if c.condition.type == "bounced")
+    assert found.verdict.met and bounced.condition.b == table
+    below = [t for t in found.rollout.touches(BALL, table)["time"] if t > 0.1]
+    assert below[0] < found.rollout.touches(BALL, CARTON)["time"][0]
+    assert not len(found.rollout.touches(BALL, GROUND))
+
+
+def test_what_does_not_bounce_comes_down_before_its_target_and_slides_on(tmp_path: Path) -> None:
+    soft = thing(LID, "backpack", box(0, size=(0.06, 0.05, 0.03)).mesh, (0.1, 0.0, 0.015))
+    package = goal_package(tmp_path / "package", goal_scene().with_objects(soft))
+    found = played(package, "bounce the backpack into the cereal box")
+    assert next(s for s in found.plan.phases[0].semantics if s.id == LID).restitution < LEAST
+    below = [t for t in found.rollout.touches(LID, GROUND)["time"] if t > 0.1]
+    assert found.verdict.met and below[0] < found.rollout.touches(LID, CARTON)["time"][0]
 
 
 def test_what_lies_in_something_is_thrown_from_where_it_lies(tmp_path: Path) -> None:

@@ -129,6 +129,12 @@ class SceneLayout:
         below = self.scene[id].supported_by
         return GROUND if below is None else below
 
+    def floor_of(self, a: int, b: int) -> int:
+        """What two objects stand on, directly or not: the nearest that carries both and holds neither. A desk for a cup
+        and a mug on it; the ground for what stands on two desks, or lies in one bowl."""
+        below = self.scene.ancestors(b)
+        return next((k for k in self.scene.ancestors(a) if k in below and not self.pool(k)), GROUND)
+
     def friction(self, id: int) -> float:
         """Between an object and what carries it, as the engine takes it: the larger, or that of what bounces."""
         o, below = self.scene[id], self.support(id)

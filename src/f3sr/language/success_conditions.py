@@ -38,7 +38,7 @@ NEARLY = 0.9
 STIRS, STIRS_BY = 0.03, 0.006
 """The same for what is too heavy to be moved so far by what runs into it, and in any case [m]."""
 HOPS = 0.03
-"""Share of its size that the active object rises at least when it bounces off the ground on its way."""
+"""Share of its size that the active object rises at least when it bounces on its way."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
@@ -224,8 +224,9 @@ def _bounce(m: Meant, layout: SceneLayout) -> list[Reading]:
     if way in ("off", "onto", "over"):
         loose = p.Contact(a=a, b=target, after=0)
         return [((up, p.Bounced(a=a, b=target, at_least=seen, after=0)), ""), ((up, loose), "how high it bounces")]
-    floor, touch = p.Contact(a=a, b=GROUND, after=0), p.Contact(a=a, b=target, after=1, first=True)
-    bounce = p.Bounced(a=a, b=GROUND, at_least=HOPS * layout.size(a), after=0)
+    below = layout.floor_of(a, target)
+    floor, touch = p.Contact(a=a, b=below, after=0), p.Contact(a=a, b=target, after=1, first=True)
+    bounce = p.Bounced(a=a, b=below, at_least=HOPS * layout.size(a), after=0)
     if way == "into" and layout.pool(target):
         return [((up, floor, touch, p.Inside(a=a, b=target)), "")]
     return [((up, bounce, touch), ""), ((up, floor, touch), "how high it bounces")]

@@ -1,4 +1,6 @@
-"""Launches that bounce: off the ground to a target, off the target, or up and down; aimed in closed form."""
+"""Launches that bounce: off the floor to a target, off the target, or up and down; aimed in closed form.
+
+The floor is what the object and its target stand on: the ground, or a desk (``LaunchContext.floor``)."""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from f3sr.launches import ballistics
 from f3sr.launches.flights import AFTER, AIMS, goal_of, is_blocked
 from f3sr.launches.launch_context import LaunchContext, Launches
 from f3sr.physics.restitution import LEAST
-from f3sr.scene import GRAVITY, GROUND
+from f3sr.scene import GRAVITY
 
 LEFT = 0.15
 """Time [s] after which a launched object touches the ground by falling on it."""
@@ -22,10 +24,11 @@ FASTER = 5
 
 
 def bouncing(s: LaunchContext) -> Launches:
-    """To the ground and from there to the target; the aim is corrected by where the bounce led."""
+    """To the floor and from there to the target; the aim is corrected by where the bounce led. What does not bounce
+    slides on."""
     e = s.layout.scene[s.active].restitution
     start, lift = s.start
-    if s.target is None or e <= LEAST:
+    if s.target is None:
         yield from _bouncing_up(s, start, lift)
         return
     if s.task.way in ("off", "onto", "over"):
@@ -36,8 +39,10 @@ def bouncing(s: LaunchContext) -> Launches:
                 v, seconds = ballistics.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
                 yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
         return
-    if not s.layout.rolls(s.active, s.direction):
+    if e <= LEAST or not s.layout.rolls(s.active, s.direction):
         yield from _skipping(s, start, lift)
+    if e <= LEAST:
+        return
     if s.layout.pool(s.target) is None or s.task.way != "into":
         yield from _bouncing_at(s, s.target, e)
         return
@@ -50,7 +55,7 @@ def bouncing(s: LaunchContext) -> Launches:
     for _, _, goal, apex in sorted(ways, key=lambda w: w[:2])[:7]:
         shift = np.zeros(3)
         for _ in range(3):
-            v, seconds = ballistics.bounce(start, goal + shift, s.height, e, apex)
+            v, seconds = ballistics.bounce(start, goal + shift, s.low, e, apex)
             (tried,) = yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
             came = _came_down(s, tried, float(goal[2]))
             if came is None or np.linalg.norm(came - goal[:2]) < 0.1 * s.size:
@@ -59,7 +64,7 @@ def bouncing(s: LaunchContext) -> Launches:
 
 
 def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
-    """To the ground somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
+    """To the floor somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
     clear, straight on first."""
     start, lift = s.start
     top, rolls = float(s.layout.span(target)[1, 2]), s.layout.rolls(s.active, s.direction)
@@ -70,9 +75,9 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
         if not 0 < near < beyond:
             continue
         for part in (0.5, 0.65, 0.35, 0.8, 0.92):
-            place = np.append((start + part * near * u)[:2], s.height)
+            place = np.append((start + part * near * u)[:2], s.low)
             for arc in (0.4, 0.8, 1.5, 3.0) if rolls else (0.15, 0.25, 0.4, 0.8):
-                v, first = ballistics.throw(start, place, max(start[2], s.height) + arc * s.size)
+                v, first = ballistics.throw(start, place, max(start[2], s.low) + arc * s.size)
                 # It comes down with g t - v_z. What spins as it rolls keeps its horizontal speed; from what does not,
                 # friction takes as much of it as it presses.
                 down = GRAVITY * first - v[2]
@@ -81,10 +86,10 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
                     continue
                 off = np.array([kept * v[0], kept * v[1], e * down])
                 second = (1 - part) / part * first / kept
-                height = s.height + off[2] * second - GRAVITY * second**2 / 2
-                if s.height < height < 0.9 * top:
+                height = s.low + off[2] * second - GRAVITY * second**2 / 2
+                if s.low < height < top - 0.1 * (top - s.low + s.height):
                     flights, goal = [(start, v, first), (place, off, second)], start + near * u
-                    blocked = not _ground_at(s, place) or is_blocked(s, flights, goal, near=0.0)
+                    blocked = not _floor_at(s, place) or is_blocked(s, flights, goal, near=0.0)
                     ways.append((blocked, abs(angle), len(ways), v, first + second))
     for *_, v, seconds in sorted(ways, key=lambda w: w[:3])[:10]:
         yield from _in_time(s, target, v, lift, seconds + AFTER)
@@ -98,7 +103,7 @@ def _in_time(s: LaunchContext, target: int, v: Array, lift: Array | None, second
         off = v * [factor, factor, 1]
         spin = s.rolling(off * [1, 1, 0]) if s.layout.rolls(s.active, s.direction) else None
         (tried,) = yield [s.thrown(off, angular=spin, lift=lift, seconds=seconds)]
-        bounced = min((t for t in tried.rollout.touches(s.active, GROUND)["time"] if t > LEFT), default=math.inf)
+        bounced = min((t for t in tried.rollout.touches(s.active, s.floor)["time"] if t > LEFT), default=math.inf)
         touched = min((t for t in tried.rollout.touches(s.active, target)["time"] if t > 0), default=math.inf)
         if bounced < touched < math.inf:
             return
@@ -109,21 +114,21 @@ def _in_time(s: LaunchContext, target: int, v: Array, lift: Array | None, second
         factor = (slow + fast) / 2 if fast < math.inf else 1.5 * factor
 
 
-def _ground_at(s: LaunchContext, place: Array) -> bool:
-    """Whether nothing but ground is under the object around a place."""
+def _floor_at(s: LaunchContext, place: Array) -> bool:
+    """Whether nothing but what it is to bounce off is under the object around a place."""
     around = [place[:2] + 0.7 * s.height * np.array(k) for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-    return all(s.layout.top(float(x), float(y), without=s.active)[1] == GROUND for x, y in around)
+    return all(s.layout.top(float(x), float(y), without=s.active)[1] == s.floor for x, y in around)
 
 
 def _bounce_blocked(s: LaunchContext, start: Array, goal: Array, e: float, apex: float) -> bool:
-    """Whether something is in the way of a bounce, or where it is to bounce is no ground."""
-    v, _ = ballistics.bounce(start, goal, s.height, e, apex)
-    down = math.sqrt(v[2] ** 2 + 2 * GRAVITY * (start[2] - s.height))
+    """Whether something is in the way of a bounce, or where it is to bounce is no floor."""
+    v, _ = ballistics.bounce(start, goal, s.low, e, apex)
+    down = math.sqrt(v[2] ** 2 + 2 * GRAVITY * (start[2] - s.low))
     first = (v[2] + down) / GRAVITY
-    place = np.append((start + v * first)[:2], s.height)
+    place = np.append((start + v * first)[:2], s.low)
     off = np.array([v[0], v[1], e * down])
-    second = (off[2] + math.sqrt(max(off[2] ** 2 - 2 * GRAVITY * (goal[2] - s.height), 0.0))) / GRAVITY
-    return not _ground_at(s, place) or is_blocked(s, [(start, v, first), (place, off, second)], goal)
+    second = (off[2] + math.sqrt(max(off[2] ** 2 - 2 * GRAVITY * (goal[2] - s.low), 0.0))) / GRAVITY
+    return not _floor_at(s, place) or is_blocked(s, [(start, v, first), (place, off, second)], goal)
 
 
 def _skipping(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
@@ -133,7 +138,7 @@ def _skipping(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
     gap = float(along.min() - start @ s.direction) - 0.5 * float(np.ptp(s.layout.corners(s.active) @ s.direction))
     for part, arc in ((0.6, 0.5), (0.75, 0.5), (0.6, 1.2), (0.4, 0.5), (0.8, 1.5)):
         place = start + max(part * gap, 0.02) * s.direction
-        v, seconds = ballistics.throw(start, np.array([*place[:2], s.height]), max(start[2], s.height) + arc * s.size)
+        v, seconds = ballistics.throw(start, np.array([*place[:2], s.low]), max(start[2], s.low) + arc * s.size)
         # Speed that friction takes on the rest of the gap: v^2 = 2 a d.
         on = math.sqrt(2 * s.drag * (1 - part) * max(gap, 0.0))
         v = v + max(0.0, 1.5 * on - float(v @ s.direction)) * s.direction if s.layout.pool(s.target) is None else v
@@ -143,7 +148,7 @@ def _skipping(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
 def _came_down(s: LaunchContext, tried: Tried, height: float) -> Array | None:
     """Where (2,) the centre of mass was when it came down to a height after its first bounce; None where it never was
     so high."""
-    flown = tried.rollout.touches(s.active, GROUND)["time"]
+    flown = tried.rollout.touches(s.active, s.floor)["time"]
     flown = flown[flown > LEFT]
     if not len(flown):
         return None

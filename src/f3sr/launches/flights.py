@@ -140,10 +140,12 @@ def _turned_upright(s: LaunchContext, seconds: float) -> Array:
 def is_blocked(
     s: LaunchContext, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None
 ) -> bool:
-    """Whether anything except the target is in the path of flights, up to ``near`` [m] before the ``goal`` (3,).
+    """Whether anything is in the path of flights, up to ``near`` [m] before the ``goal`` (3,): the target and what is
+    bounced off are not.
 
     Each flight has a start (3,) [m], a velocity (3,) [m/s] and a duration [s]; the path is looked at in 14 places."""
     half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
+    free = {GROUND, s.target} | ({s.floor} if s.task.kind == "bounce" else set())
     if near is None:
         near = _extent(s)
     for start, v, seconds in arcs:
@@ -156,7 +158,7 @@ def is_blocked(
             for aside in (-0.7, 0.0, 0.7):
                 x, y = at[:2] + aside * half * np.array([-s.direction[1], s.direction[0]])
                 top, whose = s.layout.top(float(x), float(y), without=s.active)
-                if whose not in (GROUND, s.target) and at[2] - s.height < top + 0.1 * s.size:
+                if whose not in free and at[2] - s.height < top + 0.1 * s.size:
                     return True
     return False
 

@@ -15,6 +15,8 @@ from f3sr.goals.cavity import Cavity
 from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.launch_limits import WHIRL, whirl
 from f3sr.goals.plan import (
+    Bounced,
+    Contact,
     Impulse,
     InitialConditions,
     Limits,
@@ -102,6 +104,23 @@ class LaunchContext:
     def target(self) -> int | None:
         """The target, unless it is the ground."""
         return None if self.task.target == GROUND else self.task.target
+
+    @cached_property
+    def floor(self) -> int:
+        """What it bounces off on its way to a target: what its task tells, else what it and the target stand on."""
+        told = (c.b for c in self.task.conditions if isinstance(c, Bounced | Contact) and c.a == self.active)
+        both = GROUND if self.target is None else self.layout.floor_of(self.active, self.target)
+        return next((b for b in told if b != self.task.target), both)
+
+    @cached_property
+    def low(self) -> float:
+        """Height [m] of its centre of mass where it touches that floor, midway to the target if that is in sight."""
+        if self.floor == GROUND or self.target is None:
+            return self.height
+        here, there = self.center[:2], self.layout.center(self.target)[:2]
+        tops = [self.layout.top(*(here + k * (there - here)).tolist(), without=self.active) for k in (0.5, 0.35, 0.65)]
+        top = next((z for z, whose in tops if whose == self.floor), float(self.layout.span(self.floor)[1, 2]))
+        return min(top + self.height, float(self.center[2]))
 
     @cached_property
     def direction(self) -> Array:
