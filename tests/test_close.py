@@ -205,8 +205,18 @@ def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene
     scene = seen(scene_of(ball_on_the_ground()))
     after, outcome = close(scene, CONFIG, settled=end)
     assert after is scene
-    assert len(outcome.decisions) == 1, "nothing else is left to be tried"
+    assert len(outcome.decisions) == 1 + (why == "visible IoU"), "along the ray, where it shows; nothing else is left"
     assert all(d.choice.endswith("rolled back") and why in d.reason for d in outcome.decisions)
+
+
+def test_what_shows_as_it_comes_down_comes_down_along_its_viewing_ray():
+    scene = seen(scene_of(ball_on_the_ground()))
+    after, outcome = close(scene, CONFIG, settled=settled)
+    down, along = (float(d.reason.removeprefix("visible IoU of the group ")) for d in outcome.decisions)
+    assert down < -0.15 and -0.08 < along < 0, "straight down it would be off its mask"
+    assert outcome.gaps[0][0] > 0.008 and outcome.gaps[0][1] < 0.001
+    way, ray = scene[0].way_to(after[0]), scene[0].middle - scene.camera.center
+    assert way @ ray > 0.9 * np.linalg.norm(way) * np.linalg.norm(ray), "away from the camera"
 
 
 def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():

@@ -18,7 +18,7 @@ from f3sr.contact.undersides import FootingConfig
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, transform
-from f3sr.metrics.contact_groups import IOU_OF_GAP, SettledScene, groups_of
+from f3sr.metrics.contact_groups import IOU_OF_GAP, SettledScene, groups_of, mean_gain
 from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.proxies import trim
@@ -26,7 +26,10 @@ from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject, names_of
 from f3sr.settings import constants, settings
+from f3sr.vision import depth_prior
 
+SEEN = 0.5
+"""Standard deviation of where the photo shows an object, across its viewing ray [px]: of coverage cut at .5."""
 STEPS = 24
 """Maximum number of contacts that are cut free, one by one, while one object is lowered."""
 
@@ -94,22 +97,24 @@ def close(
 
     Convex parts stand off their mesh, so colliders meet before meshes do. The colliders are cut back at contacts. A gap
     that a footing supplies for a short underside stays. ``settled`` runs physics. A group of touching objects keeps its
-    new state if it rests and loses little visible IoU. Groups with a ``restless`` id, which do not rest, stay as they
-    are. Returns the scene with poses, parts and footings changed, and the outcome with gaps in metres.
+    new state if it rests and loses little visible IoU. One that loses more by being lowered is lowered along viewing
+    rays next: that hardly shows. Groups with a ``restless`` id, which do not rest, stay as they are. Returns the scene
+    with poses, parts and footings changed, and the outcome with gaps in metres.
     """
     config = config or CloseConfig()
     left = {id for g in groups_of(scene, scene, config.contact.apart) if g.intersection(restless) for id in g}
     start, gaps = scene, _gaps(scene)
-    decisions, spoilt = list[Decision](), set[int]()
+    decisions, spoilt, lost = list[Decision](), set[int](), frozenset[int]()
     for k in range(config.rounds):
         wider = replace(config, cut=replace(config.cut, radius=min(0.5, config.cut.radius * 2**k)))
-        tried = lowered(scene, wider, but=left | spoilt)
+        tried = lowered(scene, wider, but=left | spoilt, along_rays=lost)
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
-        scene, told, spoiling = _better(start, scene, tried, changed, config, settled)
+        scene, told, spoiling, losing = _better(start, scene, tried, changed, config, settled)
         decisions += told
-        spoilt |= spoiling
+        spoilt |= spoiling - (losing - lost)
+        lost |= losing
     after = _gaps(scene)
     cut = [(start[o.id], o) for o in scene if o.parts is not start[o.id].parts]
     return scene, Closed(
@@ -134,16 +139,17 @@ def _better(
     changed: frozenset[int],
     config: CloseConfig,
     settled: Callable[[Scene], SettledScene],
-) -> tuple[Scene, list[Decision], frozenset[int]]:
+) -> tuple[Scene, list[Decision], frozenset[int], frozenset[int]]:
     """``before`` with the groups of ``tried`` that rest after settling and keep the visible IoU that they had at the
     ``start``.
 
-    Also returns decisions and the ids of objects that make their group fail. Only groups that changed are settled."""
+    Also returns decisions, the ids of objects that make their group fail, and of what changed in groups that are off
+    their masks already as they are lowered. Only groups that changed are settled."""
     moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
-    was, now = visible_ious(start), visible_ious(after)
-    scene, decisions, spoiling = before, list[Decision](), set[int]()
+    was, sunk, now = visible_ious(start), visible_ious(tried), visible_ious(after)
+    scene, decisions, spoiling, losing = before, list[Decision](), set[int](), set[int]()
     for group in groups_of(before, after, config.contact.apart):
         if not group & changed:
             continue
@@ -164,7 +170,8 @@ def _better(
             scene = scene.with_objects(*(after[id] for id in sorted(group)))
         else:
             spoiling |= restless or {id for id, lost in losses.items() if lost > allowed}
-    return scene, decisions, frozenset(spoiling)
+            losing |= group & changed if not restless and mean_gain(group, sunk, was) > allowed else set()
+    return scene, decisions, frozenset(spoiling), frozenset(losing)
 
 
 def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
@@ -173,13 +180,14 @@ def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
     return was - now
 
 
-def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> Scene:
-    """The scene with all objects lowered that have a gap above their support, ``but`` some, supports first.
+def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = (), along_rays: Collection[int] = ()) -> Scene:
+    """The scene with all objects lowered that have a gap above their support, ``but`` some, supports first; some
+    ``along_rays`` as far as their depth is uncertain.
 
     An object goes down with its subtree until colliders meet. They are cut back there, and it goes on until its mesh
     meets another mesh. Objects without a gap stay the same values.
     """
-    layout = _Layout(scene, config)
+    layout = _Layout(scene, config, frozenset(along_rays))
     for id in scene.supports_first:
         if scene[id].supported_by is not None and id not in but:
             layout.lower(id)
@@ -189,8 +197,9 @@ def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> 
 class _Layout:
     """The mutable state of ``close``: all objects while they are lowered."""
 
-    def __init__(self, scene: Scene, config: CloseConfig) -> None:
-        self.scene, self.config = scene, config
+    def __init__(self, scene: Scene, config: CloseConfig, along_rays: frozenset[int]) -> None:
+        self.scene, self.config, self.along_rays = scene, config, along_rays
+        self.sigmas = depth_prior.sigmas(scene) if along_rays else {}
         self.bodies = {o.id: _Lowered(o, len(o.parts) + config.cut.added) for o in scene}
 
     def lower(self, id: int) -> None:
@@ -206,13 +215,31 @@ class _Layout:
         if goal.gap <= self.config.contact.clearance + 2 * near.tolerance:
             return
         self._meet(id, goal, near)
+        way = self._way(id, members, goal.gap)
         drop = 0.0
         for _ in range(STEPS):
-            drop += self._move(members, self._room(members))
+            drop += self._move(members, self._room(members, way), way)
             if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
                 break
-        self._move(members, self._room(members) - self.config.contact.clearance)
+        self._move(members, self._room(members, way) - self.config.contact.clearance, way)
         self._stand_again(id)
+
+    def _way(self, id: int, members: tuple[int, ...], drop: float) -> Array:
+        """The way (3,) on which some objects go down by 1: straight down, or the one of least cost. That is straight
+        down too where anything but what carries them is in its way before they are down by ``drop`` [m]."""
+        if id not in self.along_rays:
+            return -UP
+        o, camera = self.bodies[id].now, self.scene.camera
+        ray = o.middle - camera.center
+        distance = float(np.linalg.norm(ray))
+        ray /= distance
+        along, across = self.sigmas[id] * distance, SEEN * distance / float(camera.K[0, 0])
+        # A shift d with d_z = -1 of least cost d' C^-1 d is -C z / z' C z.
+        spread = across**2 * UP + (along**2 - across**2) * ray[2] * ray
+        way = -spread / spread[2]
+        mine, _ = self._parted(members)
+        beside = Compound.of(b.body for k, b in self.bodies.items() if k not in members and k not in o.carriers)
+        return way if free_travel(mine, beside, way) > drop else -UP
 
     def _stand_again(self, id: int) -> None:
         """Make the footing of an object anew, as what it rests on was cut back."""
@@ -229,7 +256,7 @@ class _Layout:
             below=self.bodies[id].supplied if self.scene.has_measured_depth else 0.0,
         )
         self.bodies[id].stand(wedges)
-        self._move(members, -rise)
+        self._move(members, -rise, -UP)
 
     def _parted(self, members: tuple[int, ...]) -> tuple[Compound, Compound]:
         """Bodies of some objects, and of all others."""
@@ -242,14 +269,14 @@ class _Layout:
         if goal.other != GROUND:
             self.bodies[goal.other].cut_on(goal.below, UP, near)
 
-    def _room(self, members: tuple[int, ...]) -> float:
-        """Distance [m] that some objects can be lowered until colliders meet."""
+    def _room(self, members: tuple[int, ...], way: Array) -> float:
+        """Distance [m] that some objects can be lowered on a way (3,) until colliders meet."""
         mine, others = self._parted(members)
-        return min(mine.lowest, free_travel(mine, others, -UP))
+        return min(mine.lowest, free_travel(mine, others, way))
 
-    def _move(self, members: tuple[int, ...], drop: float) -> float:
+    def _move(self, members: tuple[int, ...], drop: float, way: Array) -> float:
         for k in members:
-            self.bodies[k].lower(drop)
+            self.bodies[k].shift(drop * way)
         return drop
 
     def _cut_free(self, members: tuple[int, ...], left: float) -> bool:
@@ -286,7 +313,7 @@ class _Lowered:
     """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
 
     def __init__(self, o: SceneObject, most: int) -> None:
-        self._start, self._drop, self._most = o, 0.0, most
+        self._start, self._shift, self._most = o, np.zeros(3), most
         self.now = o
         """The present object."""
         self.supplied = supplied(o)
@@ -301,12 +328,12 @@ class _Lowered:
     def _surface(self) -> MeshSurface:
         return MeshSurface.of(self._start.mesh)
 
-    def lower(self, drop: float) -> None:
-        if not drop:
+    def shift(self, way: Array) -> None:
+        if not way.any():
             return
-        self._drop += drop
-        reason = f"lowered by {1000 * self._drop:.2f} mm, until its mesh meets what it rests on"
-        moved = self._start.moved(pose(t=-self._drop * UP), stage="close", reason=reason)
+        self._shift = self._shift + way
+        reason = f"lowered by {-1000 * self._shift[2]:.2f} mm, until its mesh meets what it rests on"
+        moved = self._start.moved(pose(t=self._shift), stage="close", reason=reason)
         self._change(replace(moved, parts=self.now.parts, footing=self.now.footing))
 
     def stand(self, wedges: tuple[ConvexPart, ...]) -> None:
