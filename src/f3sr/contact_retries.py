@@ -14,13 +14,14 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.language.grammar.materials import material_of
 from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
+from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.balance import Footed, balance
 from f3sr.stages.close import close, lowered
-from f3sr.stages.refine import GAIN, UPRIGHT, moved_off_masks
+from f3sr.stages.refine import GAIN, UNSEEN, UPRIGHT, moved_off_masks
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
 from f3sr.stages.settle import at_rest
 from f3sr.uncertainty.pose_information import precisions
@@ -31,7 +32,7 @@ WON_BACK_BALANCED = 0.0
 """The same for a group in balance: in none of 30 such ends it won anything."""
 
 FALL = 0.2
-"""Shift of the middle of an object, as a share of its size, that is a fall: it costs .8 of IoU across the rays."""
+"""Shift of the middle of an object, as a share of its size, that is a fall, however much it still shows."""
 
 ROUNDS, SECONDS = 3, 2.0
 """Most rounds of settling of a retry, and most damped simulation [s]. Of 147 that rested, 145 took no more, 133 of them
@@ -114,7 +115,7 @@ class ContactRetries:
         )
         placed = seek(retry.scene, may_hold=may_hold, most=most)
         are_carried = placed is not retry.scene and not _fixed(retry.scene, placed)
-        if are_carried and any(_fell(start[id], before[id]) for id in may_hold):
+        if are_carried and _fallen(start, before, may_hold):
             placed = self._with_fallen_held(retry.scene, placed, seek, may_hold, most)
         if not _fixed(retry.scene, placed):
             return SettledScene(scene=before, restless=frozenset())
@@ -128,8 +129,8 @@ class ContactRetries:
         free = scene
         for left in range(most, -1, -1):
             rested = self._at_rest(placed).scene
-            fallen = (id for id in scene.supports_first if id in may_hold and _fell(placed[id], rested[id]))
-            lowest = next(fallen, None)
+            fallen = _fallen(placed, rested, may_hold)
+            lowest = next((id for id in scene.supports_first if id in fallen), None)
             if lowest is None:
                 return placed
             if left:
@@ -297,8 +298,12 @@ def _fixed(before: Scene, after: Scene) -> bool:
     return any(before[o.id].mobility != o.mobility for o in after)
 
 
-def _fell(before: SceneObject, after: SceneObject) -> bool:
-    return bool(np.linalg.norm(before.way_to(after)) > FALL * before.size)
+def _fallen(before: Scene, after: Scene, ids: Collection[int]) -> frozenset[int]:
+    """Those of some objects that are far from where they were, or show far less of their masks: thin ones need not go
+    far for that."""
+    was, now = visible_ious(before), visible_ious(after)
+    far = (id for id in ids if np.linalg.norm(before[id].way_to(after[id])) > FALL * before[id].size)
+    return frozenset((*far, *(id for id in ids if was[id] - now[id] > UNSEEN)))
 
 
 def _guessed(scene: Scene) -> list[int]:
