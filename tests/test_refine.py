@@ -16,7 +16,7 @@ from f3sr.metrics import contact_groups
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
-from f3sr.stages.refine import LOST, RETURNS, UNSEEN, RefineConfig, Refined, Retries, refine
+from f3sr.stages.refine import HOPELESS, RETURNS, UNSEEN, RefineConfig, Refined, Retries, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
@@ -599,7 +599,7 @@ def test_what_lies_elsewhere_is_held_though_it_shows_most_of_its_mask(farther: f
     away = seen[2].moved(T, scale=farther, stage="test", reason="")
     start = seen.with_objects(away.moved(pose(t=[aside, 0, 0]), stage="test", reason=""))
     lost = visible_ious(seen)[2] - visible_ious(start)[2]
-    assert LOST < lost < UNSEEN if aside else lost < LOST
+    assert HOPELESS < lost < UNSEEN if aside else lost < HOPELESS
 
     def held(before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
         assert moving == {2} and most == 1
