@@ -258,6 +258,13 @@ def test_what_hangs_on_something_unseen_is_told_again_until_it_has_a_support(pac
     assert not any("still fixed" in d.choice for d in session.report.decisions)
 
 
+def test_who_fixes_what_hangs_on_something_unseen_agrees_and_is_told_no_more(package: Package):
+    on_unseen = package.scene.with_objects(package.scene[1].on_something_unseen())
+    session = session_after(replace(package, scene=on_unseen), {"kind": "fix", "id": 1})
+    assert session.scene[1].mobility_source == "given"
+    assert not any(d.fallback for d in session.report.decisions)
+
+
 def test_what_the_user_fixed_stays_fixed_on_a_support(package: Package):
     session = session_after(package, {"kind": "fix", "id": 3}, {"kind": "support", "id": 3, "on": 0})
     assert (session.scene[3].mobility, session.scene[3].mobility_source) == ("fixed", "given")

@@ -359,6 +359,11 @@ def test_what_cannot_be_sampled_is_one_clear_error(package: Path, tmp_path: Path
     assert main(["sample", str(old), "-o", str(tmp_path / "out")]) == 2
     assert "no uncertainty of any pose" in capsys.readouterr().err
     assert main(["simulate", str(old), "knock over box 2", "--samples", "3", "--no-film"]) == 2
+    for o in tree["objects"]:
+        o["mobility"] = "fixed"
+    (old / "scene.json").write_text(json.dumps(tree))
+    assert main(["sample", str(old), "-o", str(tmp_path / "out")]) == 2
+    assert "found only fixed objects: objects 2, 5 and 7" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

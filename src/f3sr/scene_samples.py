@@ -14,6 +14,7 @@ from f3sr.errors import InputError, require_kind
 from f3sr.pipeline_config import Config, with_shared_settings
 from f3sr.runtime.machine import one_thread
 from f3sr.runtime.progress import Progress, silent, timed
+from f3sr.scene import names_of
 from f3sr.scene_package.package import Package
 from f3sr.uncertainty.sampling import Rejected, Sample, SamplingConfig, draw
 
@@ -49,6 +50,9 @@ def sample_scenes(
     if seed < 0:
         raise InputError("seed", found=str(seed), accepted="0 or more")
     covariances = {id: np.array(u.conditional) for id, u in package.uncertainty.items()}
+    if all(o.mobility == "fixed" for o in package.scene):
+        found = f"only fixed objects: {names_of(sorted(o.id for o in package.scene))}"
+        raise InputError(package.folder / "scene.json", found=found, accepted="an object that may move")
     if not covariances:
         raise InputError(
             package.folder / "scene.json",

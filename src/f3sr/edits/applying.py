@@ -108,7 +108,7 @@ def _fault(scene: Scene, edit: Edit) -> str:
             return f"{edit.mass:.3g} kg would be {density:.3g} kg/m3; of its size {accepted} can be"
     if isinstance(edit, DeleteEdit) and len(ids) == 1:
         return "it is the last object, and a scene has at least one"
-    if isinstance(edit, FixEdit) and o.mobility == "fixed":
+    if isinstance(edit, FixEdit) and o.mobility == "fixed" and o.mobility_source != "found":
         return "it is fixed already"
     if isinstance(edit, ReleaseEdit) and o.mobility == "dynamic":
         return "physics moves it already"
