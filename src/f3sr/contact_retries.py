@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.language.grammar.materials import material_of
 from f3sr.metrics.contact_groups import SettledScene, groups_of, mean_gain
-from f3sr.metrics.measures import visible_ious
+from f3sr.metrics.measures import full_silhouette
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
@@ -25,6 +25,7 @@ from f3sr.stages.refine import GAIN, UNSEEN, UPRIGHT, moved_off_masks
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
 from f3sr.stages.settle import at_rest
 from f3sr.uncertainty.pose_information import precisions
+from f3sr.vision.silhouette import iou
 
 WON_BACK = 0.02
 """Most score that closing its gaps may win back for a group: .013 after ``separate``, which leaves gaps."""
@@ -299,11 +300,11 @@ def _fixed(before: Scene, after: Scene) -> bool:
 
 
 def _fallen(before: Scene, after: Scene, ids: Collection[int]) -> frozenset[int]:
-    """Those of some objects that are far from where they were, or show far less of their masks: thin ones need not go
-    far for that."""
-    was, now = visible_ious(before), visible_ious(after)
-    far = (id for id in ids if np.linalg.norm(before[id].way_to(after[id])) > FALL * before[id].size)
-    return frozenset((*far, *(id for id in ids if was[id] - now[id] > UNSEEN)))
+    """Those of some objects that are far from where they were; where none is, those with another outline in the photo:
+    thin ones need not go far for that."""
+    far = frozenset(id for id in ids if np.linalg.norm(before[id].way_to(after[id])) > FALL * before[id].size)
+    outlines = ((id, *(full_silhouette(s[id], before.camera) for s in (before, after))) for id in ids)
+    return far or frozenset(id for id, was, now in outlines if iou(was, now) < 1 - UNSEEN)
 
 
 def _guessed(scene: Scene) -> list[int]:
