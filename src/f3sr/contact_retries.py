@@ -21,7 +21,7 @@ from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.balance import Footed, balance
 from f3sr.stages.close import close, lowered
-from f3sr.stages.refine import GAIN, UNSEEN, UPRIGHT, moved_off_masks
+from f3sr.stages.refine import GAIN, UNSEEN, UPRIGHT, moved_off_masks, newly_fixed
 from f3sr.stages.separate import on_footings_in_place, on_own_footings, separate
 from f3sr.stages.settle import at_rest
 from f3sr.uncertainty.pose_information import precisions
@@ -115,10 +115,10 @@ class ContactRetries:
             guessed=_guessed(retry.scene),
         )
         placed = seek(retry.scene, may_hold=may_hold, most=most)
-        are_carried = placed is not retry.scene and not _fixed(retry.scene, placed)
+        are_carried = placed is not retry.scene and not newly_fixed(retry.scene, placed, may_hold)
         if are_carried and _fallen(start, before, may_hold):
             placed = self._with_fallen_held(retry.scene, placed, seek, may_hold, most)
-        if not _fixed(retry.scene, placed):
+        if not newly_fixed(retry.scene, placed, may_hold):
             return SettledScene(scene=before, restless=frozenset())
         return self._ended(retry, self._on_best_footings(placed), won_back=WON_BACK_BALANCED)
 
@@ -293,10 +293,6 @@ class Retry:
         lost = {id for g in groups if g & self.moving and mean_gain(g & self.moving, was, now) < -won_back for id in g}
         back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
         return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
-
-
-def _fixed(before: Scene, after: Scene) -> bool:
-    return any(before[o.id].mobility != o.mobility for o in after)
 
 
 def _fallen(before: Scene, after: Scene, ids: Collection[int]) -> frozenset[int]:

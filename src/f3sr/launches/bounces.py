@@ -18,7 +18,7 @@ from f3sr.physics.restitution import LEAST
 from f3sr.scene import GRAVITY
 
 LEFT = 0.15
-"""Time [s] after which a launched object touches the ground by falling on it."""
+"""Time [s] after which a launched object touches the floor by falling on it."""
 FASTER = 5
 """Most speeds that are tried for one throw."""
 
@@ -87,7 +87,7 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
                 off = np.array([kept * v[0], kept * v[1], e * down])
                 second = (1 - part) / part * first / kept
                 height = s.low + off[2] * second - GRAVITY * second**2 / 2
-                if s.low < height < top - 0.1 * (top - s.low + s.height):
+                if s.low < height < 0.9 * top + 0.1 * (s.low - s.height):
                     flights, goal = [(start, v, first), (place, off, second)], start + near * u
                     blocked = not _floor_at(s, place) or is_blocked(s, flights, goal, near=0.0)
                     ways.append((blocked, abs(angle), len(ways), v, first + second))

@@ -51,8 +51,7 @@ def balance(
     that it ``may_hold``, by id: one by one that without which least is left unbalanced. Where that would be more than
     ``most`` in all, the scene is returned as it is.
     """
-    came, left = scene, most
-    free = scene
+    came = free = scene
     for group in _groups(scene, costs, contact):
         seek = partial(
             nearest_equilibrium,
@@ -65,9 +64,9 @@ def balance(
             may_hold=[id for id in group if id in may_hold],
         )
         while (found := seek(bodies_of(free), footings=partial(_footings, scene, footed))).unheld is not None:
-            if not left:
+            if not most:
                 return came
-            left -= 1
+            most -= 1
             free, scene = (s.with_objects(s[found.unheld].on_something_unseen()) for s in (free, scene))
         told = f"into balance with {len(group) - 1} others, at {np.sqrt(found.cost):.1f} standard deviations in all"
         there = footed(_moved(scene, found.footed_at, told), group, overlapping=False)

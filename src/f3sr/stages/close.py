@@ -29,7 +29,7 @@ from f3sr.settings import constants, settings
 from f3sr.vision import depth_prior
 
 SEEN = 0.5
-"""Standard deviation of where the photo shows an object, across its viewing ray [px]: of coverage cut at .5."""
+"""Standard deviation of an object's place across its viewing ray, as the photo tells it [px]."""
 STEPS = 24
 """Maximum number of contacts that are cut free, one by one, while one object is lowered."""
 
@@ -113,8 +113,9 @@ def close(
             break
         scene, told, spoiling, losing = _better(start, scene, tried, changed, config, settled)
         decisions += told
-        spoilt |= spoiling - (losing - lost)
-        lost |= losing
+        first = losing - lost
+        spoilt |= spoiling - first
+        lost |= first
     after = _gaps(scene)
     cut = [(start[o.id], o) for o in scene if o.parts is not start[o.id].parts]
     return scene, Closed(
@@ -148,7 +149,7 @@ def _better(
     moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
-    was, sunk, now = visible_ious(start), visible_ious(tried), visible_ious(after)
+    was, now, sunk = visible_ious(start), visible_ious(after), SettledScene(scene=tried, restless=frozenset())
     scene, decisions, spoiling, losing = before, list[Decision](), set[int](), set[int]()
     for group in groups_of(before, after, config.contact.apart):
         if not group & changed:
@@ -170,7 +171,7 @@ def _better(
             scene = scene.with_objects(*(after[id] for id in sorted(group)))
         else:
             spoiling |= restless or {id for id, lost in losses.items() if lost > allowed}
-            losing |= group & changed if not restless and mean_gain(group, sunk, was) > allowed else set()
+            losing |= group & changed if not restless and mean_gain(group, sunk.ious, was) > allowed else set()
     return scene, decisions, frozenset(spoiling), frozenset(losing)
 
 

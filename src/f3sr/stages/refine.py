@@ -57,6 +57,7 @@ ELSEWHERE = 6.0
 """Standard deviations of its distance by which an object lies elsewhere than the photo shows it, if its visible IoU
 falls by ``HOPELESS`` too: a box that fell away from the camera, by 9 of them, kept .8 of it. Of 424 other objects in 56
 made scenes none was off by more than 4; real frames, with poor depth, have up to 12."""
+NONE_HELD = "contact carries all, or too many would be fixed"
 GAINING = 3e-3
 """Least gain of an object for it to be tried again, or alone where its group was undone."""
 
@@ -260,13 +261,13 @@ def _on_something_unseen(
             continue
         most = min(free, max(int(could_gain / UNSEEN), len(could_return)))
         if most < 1:
-            decisions.append(_none_held(group))
+            decisions.append(_not_held(group, "none", NONE_HELD))
             continue
         start = state.scene.with_objects(*(seen.scene[id] for id in sorted(group)))
         tried = retries.held(state.scene, start=start, moving=frozenset(group), most=most)
         was = state
         state, told = _held(was, tried, group, could_return - elsewhere(tried), apart)
-        free -= len(_newly_fixed(group, was, state))
+        free -= len(newly_fixed(was.scene, state.scene, group))
         decisions += told
     for id in sorted(elsewhere(state)):
         reason = f"visible IoU {state.ious[id] - seen.ious[id]:+.2f}; contact leads it there"
@@ -278,8 +279,9 @@ def _on_something_unseen(
 def _elsewhere(seen: SettledScene, now: SettledScene) -> frozenset[int]:
     """Ids of the objects that are not as far away as the photo shows them, where that is seen too: a depth that is
     off shows nothing by itself."""
-    off = depth_prior.moved_along_rays(seen.scene, now.scene)
-    return frozenset(id for id, iou in now.ious.items() if off[id] > ELSEWHERE and seen.ious[id] - iou > HOPELESS)
+    lost = [id for id, iou in now.ious.items() if seen.ious[id] - iou > HOPELESS]
+    off = depth_prior.moved_along_rays(seen.scene, now.scene) if lost else {}
+    return frozenset(id for id in lost if off[id] > ELSEWHERE)
 
 
 def _held(
@@ -288,7 +290,7 @@ def _held(
     """What was tried of a group, where each object that is held wins enough, or one is ``returned`` for each."""
     kept, decisions = list[Collection[int]](), list[Decision]()
     for g in groups_of(state.scene, tried.scene, apart):
-        held = _newly_fixed(g, state, tried)
+        held = newly_fixed(state.scene, tried.scene, g)
         gain = len(g) * mean_gain(g, state.ious, tried.ious)
         is_sunk = any(tried.scene[id].bounds_world[0, 2] < -apart for id in held)
         wins = gain >= UNSEEN * len(held) or (gain > HOPELESS * len(held) and len(returned & g) >= len(held))
@@ -302,21 +304,20 @@ def _held(
         reason += "; what carries it may be hidden, lack a mask, or have another shape"
         decisions += [Decision(choice=choice, reason=reason, about=id, fallback=True) for id in held]
     if not kept:
-        step = f"some of {names_of(group)} kept fixed where the photo shows them"
-        if not _newly_fixed(group, state, tried):
-            return state, [_none_held(group)]
+        if not newly_fixed(state.scene, tried.scene, group):
+            return state, [_not_held(group, "none", NONE_HELD)]
         needed = f"; each must win {UNSEEN:g} in all or bring one back, rest and lie above the ground"
-        return state, [Decision(choice=f"{step}: rolled back", reason=_told(state, tried) + needed)]
+        return state, [_not_held(group, "rolled back", _told(state, tried) + needed)]
     return state.with_groups(tried, kept), decisions
 
 
-def _none_held(group: Collection[int]) -> Decision:
-    choice = f"some of {names_of(group)} kept fixed where the photo shows them: none"
-    return Decision(choice=choice, reason="contact carries all, or too many would be fixed")
+def _not_held(group: Collection[int], verdict: str, reason: str) -> Decision:
+    return Decision(choice=f"some of {names_of(group)} kept fixed where the photo shows them: {verdict}", reason=reason)
 
 
-def _newly_fixed(group: Collection[int], was: SettledScene, now: SettledScene) -> list[int]:
-    return [id for id in sorted(group) if now.scene[id].mobility != was.scene[id].mobility]
+def newly_fixed(was: Scene, now: Scene, ids: Collection[int]) -> list[int]:
+    """Those of some objects that are fixed now, and were not."""
+    return [id for id in sorted(ids) if now[id].mobility != was[id].mobility]
 
 
 def _is_worse(group: Collection[int], was: SettledScene, now: SettledScene) -> bool:
