@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import f3sr
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
+from f3sr.files.bounds import MIN_MOMENT
 from f3sr.physics import mujoco_model, settling
 from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
 from f3sr.physics.near_pairs import NearPairs
@@ -25,7 +26,8 @@ from f3sr.physics.outlook import Outlook, Snapshot
 from f3sr.physics.release import RELEASE_MARGIN, filling, release, release_pairs, released_pose
 from f3sr.physics.settling import RestConfig, SettleConfig, settle
 from f3sr.scene import SceneObject
-from scenes import box, box_mesh, box_stack_scene
+from f3sr.stages.assemble import assemble
+from scenes import box, box_mesh, box_stack_scene, scene_of
 
 G = 9.81
 TWO_MARGINS = 2 * PhysicsConfig().margin
@@ -43,6 +45,18 @@ def test_a_dropped_box_comes_to_rest_on_the_plane() -> None:
     assert result.max_speed == pytest.approx(np.sqrt(2 * G * 0.005), rel=0.1)
     x, y, z = result.T_world_object[0][:3, 3]
     assert 0.05 - 1e-5 < z < 0.05 + TWO_MARGINS and abs(x - 0.2) < 1e-4 and abs(y + 0.1) < 1e-4
+
+
+@pytest.mark.parametrize("size", [(1e-3, 1e-3, 2e-4), (8e-3, 2e-4, 2e-4)])
+def test_grains_and_needles_are_simulated_with_the_least_moment_that_the_engine_takes(size: tuple[float, ...]) -> None:
+    o = box(0, size=size)
+    mass, expected = o.density * np.prod(size), [(np.dot(size, size) - a**2) / 12 for a in size]
+    moments = np.linalg.eigvalsh(body_of(o).inertia)
+    assert moments == pytest.approx(sorted(np.maximum(mass * np.array(expected), mujoco_model.LEAST_MOMENT)), rel=1e-9)
+    assert moments[0] > MIN_MOMENT > mass * min(expected)
+    mujoco_model.compiled(build_spec([o]))
+    decision = next(d for d in assemble(scene_of(o))[1].decisions if "principal moment" in d.choice)
+    assert decision.fallback and decision.about == 0
 
 
 def test_the_engine_prints_nothing_and_writes_no_file(tmp_path: Path) -> None:

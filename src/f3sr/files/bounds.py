@@ -40,8 +40,8 @@ MIN_VOLUME, MAX_VOLUME = 1e-15, 1e10
 """Volumes [m3] that masses and densities give: a grain of 10 micrometres, a cube of two kilometres."""
 MIN_MASS, MAX_MASS = MIN_VOLUME * MIN_DENSITY, MAX_VOLUME * MAX_DENSITY
 """Masses [kg]: of the volumes and densities accepted."""
-MIN_MOMENT = 1.01e-15
-"""Least principal moment of inertia of what can move [kg m2]: MuJoCo takes nothing below 1e-15."""
+MIN_MOMENT = 1.01e-14
+"""Least principal moment of inertia of what can move [kg m2]: MuJoCo takes no inertia below 1e-14."""
 MAX_FRICTION = 4.0
 """Largest sliding friction: rubber on rubber has 1.2, gecko tape 4."""
 MAX_ROLLING_FRICTION = 0.1

@@ -15,6 +15,7 @@ from annotated_types import Interval
 
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_from_quaternion
+from f3sr.files.bounds import MIN_MOMENT
 from f3sr.physics import restitution
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.scene import GRAVITY, GROUND, Ground, SceneObject
@@ -37,6 +38,8 @@ CONDIM = 6
 """Contact dimensions: six add rolling friction, without which balls never stop."""
 TORSIONAL_FRICTION = 0.005
 """Friction against spinning about the contact normal [m]."""
+LEAST_MOMENT = 1.01 * MIN_MOMENT
+"""What smaller principal moments of inertia are raised to [kg m2]: rounding leaves it above ``MIN_MOMENT``."""
 GROUND_ROLLING_FRICTION = 0.001
 """Rolling friction of the ground [m]."""
 
@@ -121,7 +124,8 @@ def part_name(body: str, k: int) -> str:
 def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres.
 
-    Its contacts follow its restitution only where it ``bounces``: a pile would sink into contacts so soft."""
+    Its contacts follow its restitution only where it ``bounces``: a pile would sink into contacts so soft. Principal
+    moments below ``LEAST_MOMENT``, of grains and needles, are raised to it."""
     solid, from_mesh = solid_of(o)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
@@ -130,12 +134,19 @@ def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
         fixed=o.mobility == "fixed",
         mass=o.density * solid.volume * o.scale**3,
         center=solid.center * o.scale,
-        inertia=o.density * solid.inertia * o.scale**5,
+        inertia=_simulable(o.density * solid.inertia * o.scale**5),
         from_mesh=from_mesh,
         friction=(o.friction, TORSIONAL_FRICTION, o.rolling_friction),
         solref=restitution.solref(o.restitution) if bounces else None,
         parts=tuple(part.moved(scale) for part in o.solids),
     )
+
+
+def _simulable(inertia: Array) -> Array:
+    moments, axes = np.linalg.eigh(inertia)
+    if moments[0] >= MIN_MOMENT:
+        return inertia
+    return axes @ np.diag(np.maximum(moments, LEAST_MOMENT)) @ axes.T
 
 
 def solid_of(o: SceneObject) -> tuple[MassProperties, bool]:

@@ -18,7 +18,7 @@ from f3sr.files.bounds import MAX_FRICTION
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
 from f3sr.language.grammar.materials import COMPACT, material_of, unknown_density
-from f3sr.physics.mujoco_model import solid_of
+from f3sr.physics.mujoco_model import LEAST_MOMENT, solid_of
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Ground, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -86,6 +86,7 @@ def assemble(
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     decisions.append(_told_of_materials(objects))
     decisions += [_told_of_fixed(o) for o in objects if o.mobility == "fixed"]
+    decisions += [d for o in objects if (d := _told_of_moments(o))]
     ratios: dict[int, float] = {}
     placed: list[SceneObject] = []
     for o in objects:
@@ -165,6 +166,15 @@ def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
 def _told_of_fixed(o: SceneObject) -> Decision:
     choice = "fixed as given: kept where alignment puts it, never moved onto a support"
     return Decision(choice=choice, reason=f"by {MATERIALS}, or by what made its mesh", about=o.id, fallback=True)
+
+
+def _told_of_moments(o: SceneObject) -> Decision | None:
+    least = o.density * float(np.linalg.eigvalsh(solid_of(o)[0].inertia)[0]) * o.scale**5
+    if least >= LEAST_MOMENT:
+        return None
+    choice = f"turns as if no principal moment of its inertia were below {LEAST_MOMENT:.2g} kg m2"
+    reason = f"the least is {least:.2g} kg m2, and MuJoCo takes none so small"
+    return Decision(choice=choice, reason=reason, about=o.id, fallback=True)
 
 
 def _depth_ratio(o: SceneObject, camera: Camera, geometry: Geometry) -> float | None:
