@@ -234,6 +234,21 @@ def test_parameters_of_a_similarity(shift: Array, turn: Array, size: float, midd
     assert parameters(*similarity(q, middle), middle) == pytest.approx(q, abs=1e-9)
 
 
+def test_a_box_beyond_the_edge_of_its_support_moves_back_over_it():
+    table = body(9, block((0.3, 0.3, 0.1), at=(0, 0, 0.05)), fixed=True)
+    box = body(0, block(at=(0.152, 0, 0.15 + GAP)))
+    (_, after), found = balanced([table, box], {0: EVEN})
+    assert found.work < 1e-5 and found.cost < 10 and stands([table, after], reach=REACH)
+    assert middle(after) == pytest.approx([0.1495, 0, 0.15 + GAP], abs=7e-4)
+
+
+def test_a_plank_that_lies_beside_the_middle_of_two_rails_moves_over_them():
+    rails = [body(9 - k, block((0.02, 0.02, 0.1), at=(0.2 * k, 0, 0.05)), fixed=True) for k in range(2)]
+    plank = body(0, block((0.3, 0.06, 0.02), at=(0.1, 0.014, 0.11 + GAP)))
+    (*_, after), found = balanced([*rails, plank], {0: EVEN})
+    assert found.work < 1e-5 and middle(after)[1] < 0.011
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_disturbed_heap_comes_to_an_equilibrium_about_as_near_as_the_one_that_it_came_from(seed: int):
     """Two boxes side by side carry a third that leans on a wall."""

@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import eye_array, hstack
 
 import stacks
 from bodies import GAP, block, body
 from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.force_balance import EDGES, FALLS, Balance
+from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.stability import stability, stands
 from f3sr.contact.static_bodies import bodies_of, contacts_of, islands
-from f3sr.core.transforms import UP, pose, rotation_about
+from f3sr.core.transforms import UP, Array, pose, rotation_about, skew
 from f3sr.physics import release
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import GRAVITY, GROUND, Ground, SceneObject
@@ -24,6 +26,60 @@ ALONG_AN_EDGE = np.cos(np.pi / EDGES)
 
 def moved(bodies, T):
     return [b.moved(T) for b in bodies]
+
+
+# Where forces act
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_how_a_cost_changes_with_where_forces_and_weights_act(seed: int) -> None:
+    """Against differences: two bodies, one on the other, whose weights some wrench at a price helps to carry."""
+    rng = np.random.default_rng(seed)
+    low, up = (
+        replace(body(k, block(at=(0, 0, 0.05 + 0.1 * k)), mass=1.0 + k), centers=rng.normal((0, 0, z), 0.02, (2, 3)))
+        for k, z in enumerate((0.05, 0.15))
+    )
+    normals = UP + rng.normal(0, 0.2, (8, 3))
+    points = np.column_stack([rng.uniform(-0.05, 0.05, (8, 2)), np.repeat([0.0, 0.1], 4)])
+    contacts = Contacts(
+        upper=np.repeat([0, 1], 4),
+        lower=np.repeat([GROUND, 0], 4),
+        points=points,
+        normals=normals / np.linalg.norm(normals, axis=1)[:, None],
+        follow=rng.uniform(0, 1, (8, 3, 3)),
+    )
+    way, tilt, center, price = rng.uniform(0.001, 0.01, 8 * EDGES), np.array([0.02, -0.01]), 1, 0.03
+    middles = rng.normal(0, 0.1, (2, 3))
+
+    def least(q: Array) -> tuple[float, Array]:
+        """The least cost after moves (2, 7) of both bodies, and its rates."""
+
+        def shifts(k: int, at: Array) -> Array:
+            return motion(q[k]) @ np.vstack([(at - middles[k]).T, np.ones(len(at))])
+
+        there = [replace(b, centers=b.centers + shifts(k, b.centers).T) for k, b in enumerate((low, up))]
+        of_upper = np.vstack([shifts(0, points[:4]).T, shifts(1, points[4:]).T])
+        of_lower = np.vstack([np.zeros((4, 3)), shifts(0, points[4:]).T])
+        follow = contacts.follow
+        moved_by = np.einsum("kij,kj->ki", follow, of_upper) + np.einsum("kij,kj->ki", np.eye(3) - follow, of_lower)
+        balance = Balance(there, there, replace(contacts, points=points + moved_by), Ground.friction)
+        rows = 6 * len(there)
+        cost = np.r_[way, np.full(2 * rows, price)]
+        upright, lean = balance.weights(center)
+        equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)])
+        found = LinearProgramme(cost, equal, upright + lean @ tilt).solve()
+        assert found
+        on_upper = np.einsum("ke,keq,k->kq", found.x[: -2 * rows].reshape(-1, EDGES), balance.edges, balance.units)
+        return found.value, balance.arm_rates(on_upper, found.duals, middles, center=center, tilt=tilt)
+
+    step = 1e-6 * np.eye(14).reshape(14, 2, 7)
+    differences = [(least(d)[0] - least(-d)[0]) / 2e-6 for d in step]
+    assert least(np.zeros((2, 7)))[1].ravel() == pytest.approx(differences, rel=1e-4, abs=1e-6)
+
+
+def motion(q: Array) -> Array:
+    """(3, 4): how points (x, y, z, 1) from a middle move with the small parameters (7,) of a pose."""
+    return np.column_stack([skew(q[3:6]) + q[6] * np.eye(3), q[:3]])
 
 
 # Contacts

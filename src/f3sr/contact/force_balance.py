@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from f3sr.contact.contact_patches import Contacts, hull_corners, tangents
 from f3sr.contact.linear_programme import LinearProgramme
 from f3sr.contact.static_bodies import StaticBody
+from f3sr.core.pose_uncertainty import PARAMETERS, TURN, motions_along
 from f3sr.core.transforms import UP, Array, cross
 from f3sr.scene import GROUND
 
@@ -120,6 +121,37 @@ class Balance:
         upright = np.concatenate([np.r_[UP, cross(arm, UP)] for arm in arms])
         lean = [np.concatenate([np.r_[-e, cross(arm, -e)] for arm in arms]) for e in np.eye(3)[:2]]
         return upright, np.stack(lean, axis=1)
+
+    def arm_rates(self, forces: Array, duals: Array, middles: Array, *, center: int, tilt: Array) -> Array:
+        """(n, 7) how a cost changes with each body's pose, of ``forces`` (k, 3) on upper bodies [kg] that balance the
+        weights of a tilt (2,): only by where forces and weights act, with normals and gaps as they are.
+
+        ``duals`` (6 n,) are rates at which that cost changes with what must be balanced. With m of them for a body's
+        moment, the cost of a force F changes by F x m with its arm. ``middles`` (n, 3): what poses are about."""
+        n, contacts = len(self.group), self.contacts
+        moments = duals.reshape(n, 6)[:, 3:]
+        # All that is held still has the place n, and no moment to be balanced.
+        per_force = np.vstack([moments / (self.masses * self.sizes)[:, None], np.zeros(3)])
+        upper, lower = (
+            np.array([self.place.get(id, n) for id in ids.tolist()], int) for ids in (contacts.upper, contacts.lower)
+        )
+        on_upper, on_lower = cross(forces, per_force[upper]), cross(forces, per_force[lower])
+        # A point follows the upper body by ``follow`` and the lower one by the rest.
+        with_upper = np.einsum("kji,kj->ki", contacts.follow, on_lower - on_upper)
+        centers, about = (np.vstack([at, np.zeros(3)]) for at in ([b.centers[0] for b in self.group], middles))
+        rates = np.zeros((n + 1, PARAMETERS))
+        for body, points, pulls in (
+            (upper, contacts.points, with_upper),
+            (lower, contacts.points, on_lower - on_upper - with_upper),
+            (upper, centers[upper], on_upper),
+            (lower, centers[lower], -on_lower),
+        ):
+            np.add.at(rates, body, motions_along(pulls, points - about[body]))
+        # The weight acts at the chosen centre, the moments are about the first one: that arm turns and grows.
+        arms = np.array([b.centers[min(center, len(b.centers) - 1)] - b.centers[0] for b in self.group])
+        weights = motions_along(cross(np.r_[-tilt, 1.0], moments / self.sizes[:, None]), arms)
+        rates[:n, TURN.start :] += weights[:, TURN.start :]
+        return rates[:n]
 
     def stands(self) -> bool:
         """Whether it stands untilted, with every set of centres."""

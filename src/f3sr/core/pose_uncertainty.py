@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from f3sr.core.transforms import Array, pose, rotation_from_vector, vector_from_rotation
+from f3sr.core.transforms import Array, cross, pose, rotation_from_vector, vector_from_rotation
 
 Matrix7 = tuple[tuple[float, ...], ...]
 """(7, 7)."""
@@ -64,6 +64,12 @@ def similarity(q: Array, middle: Array) -> tuple[Array, float]:
     """The motion x -> T (scale x) of the parameters (7,) of a pose about its ``middle`` (3,)."""
     R, scale = rotation_from_vector(q[TURN]), math.exp(q[SCALE])
     return pose(R, middle + q[SHIFT] - scale * R @ middle), scale
+
+
+def motions_along(directions: Array, arms: Array) -> Array:
+    """(k, 7) how far points at ``arms`` (k, 3) from the middle move along ``directions`` (k, 3) with each parameter."""
+    # A point moves by d + w x r + s r; n . (w x r) = w . (r x n).
+    return np.column_stack([directions, cross(arms, directions), np.einsum("ij,ij->i", arms, directions)])
 
 
 def parameters(T: Array, scale: float, middle: Array) -> Array:

@@ -30,6 +30,8 @@ from f3sr.vision import depth_prior
 
 SEEN = 0.5
 """Standard deviation of an object's place across its viewing ray, as the photo tells it [px]."""
+SHOWN = 0.02
+"""Loss of visible IoU of a group, by being lowered straight down, at which it is lowered along viewing rays at once."""
 STEPS = 24
 """Maximum number of contacts that are cut free, one by one, while one object is lowered."""
 
@@ -108,6 +110,9 @@ def close(
     for k in range(config.rounds):
         wider = replace(config, cut=replace(config.cut, radius=min(0.5, config.cut.radius * 2**k)))
         tried = lowered(scene, wider, but=left | spoilt, along_rays=lost)
+        if shown := _shown(scene, tried, config) - lost:
+            lost |= shown
+            tried = lowered(scene, wider, but=left | spoilt, along_rays=lost)
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
@@ -175,6 +180,14 @@ def _better(
     return scene, decisions, frozenset(spoiling), frozenset(losing)
 
 
+def _shown(before: Scene, sunk: Scene, config: CloseConfig) -> frozenset[int]:
+    """Objects that are lowered in groups that lose over ``SHOWN`` of visible IoU by that alone."""
+    changed = {o.id for o in before if sunk[o.id] is not o}
+    was, now = visible_ious(before), visible_ious(sunk)
+    groups = groups_of(before, sunk, config.contact.apart)
+    return frozenset(id for g in groups if mean_gain(g, now, was) > SHOWN for id in g & changed)
+
+
 def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
     """Decrease of the widest gap below some objects, as a share of their size."""
     was, now = (max(_gap(s[id], s) / s[id].size for id in ids) for s in (before, after))
@@ -227,10 +240,11 @@ class _Layout:
 
     def _way(self, id: int, members: tuple[int, ...], drop: float) -> Array:
         """The way (3,) on which some objects go down by 1: straight down, or the one of least cost. That is straight
-        down too where anything but what carries them is in its way before they are down by ``drop`` [m]."""
-        if id not in self.along_rays:
-            return -UP
+        down too where several objects carry the lowest one, which lies between them, and where anything but what
+        carries it is in its way before it is down by ``drop`` [m]."""
         o, camera = self.bodies[id].now, self.scene.camera
+        if id not in self.along_rays or len(o.carriers) > 1:
+            return -UP
         ray = o.middle - camera.center
         distance = float(np.linalg.norm(ray))
         ray /= distance
