@@ -205,18 +205,30 @@ def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene
     scene = seen(scene_of(ball_on_the_ground()))
     after, outcome = close(scene, CONFIG, settled=end)
     assert after is scene
-    assert len(outcome.decisions) == 1 + (why == "visible IoU"), "along the ray, where it shows; nothing else is left"
-    assert all(d.choice.endswith("rolled back") and why in d.reason for d in outcome.decisions)
+    (decision,) = outcome.decisions
+    assert decision.choice.endswith("rolled back") and why in decision.reason
 
 
-def test_what_shows_as_it_comes_down_comes_down_along_its_viewing_ray():
+@pytest.mark.parametrize("much", [0.02, 1.0])
+def test_what_shows_as_it_comes_down_comes_down_along_its_viewing_ray(much: float, monkeypatch: pytest.MonkeyPatch):
+    """At once where it shows much, else once it is rolled back."""
+    monkeypatch.setattr("f3sr.stages.close.SHOWN", much)
     scene = seen(scene_of(ball_on_the_ground()))
     after, outcome = close(scene, CONFIG, settled=settled)
-    down, along = (float(d.reason.removeprefix("visible IoU of the group ")) for d in outcome.decisions)
-    assert down < -0.15 and -0.08 < along < 0, "straight down it would be off its mask"
+    *down, along = (float(d.reason.removeprefix("visible IoU of the group ")) for d in outcome.decisions)
+    assert -0.08 < along < 0 and len(down) == (much == 1)
+    assert all(loss < -0.15 for loss in down), "straight down it would be off its mask"
     assert outcome.gaps[0][0] > 0.008 and outcome.gaps[0][1] < 0.001
     way, ray = scene[0].way_to(after[0]), scene[0].middle - scene.camera.center
     assert way @ ray > 0.9 * np.linalg.norm(way) * np.linalg.norm(ray), "away from the camera"
+
+
+def test_what_lies_between_others_comes_straight_down():
+    ball, post = ball_on_the_ground(), box(1, at=(0.3, 0, 0.05 + GAP))
+    wedged = replace(ball, supports=(Support(id=GROUND), Support(id=1)))
+    ways = [o.way_to(lowered(scene_of(o, post), CONFIG, along_rays=[0])[0]) for o in (ball, wedged)]
+    assert [bool(np.linalg.norm(way[:2]) > 0.005) for way in ways] == [True, False]
+    assert all(way[2] < -0.002 for way in ways)
 
 
 def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():

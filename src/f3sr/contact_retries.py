@@ -190,7 +190,10 @@ class ContactRetries:
                 break
             retry = Retry.of_moving(best.scene, scene, lost, restless=best.restless)
             left = {id: cost for id, cost in costs.items() if id in lost}
-            found = nearest(retry.scene, left, apart=True) if apart else nearest(retry.scene, left, start=best.scene)
+            if apart:
+                found = nearest(retry.scene, left, apart=True)
+            else:
+                found = nearest(retry.scene, left, start=best.scene, descends=True)
             best = best.or_better(retry.ended(found, self._contact, settled=self._at_rest), self._contact.apart)
         return best
 
@@ -203,10 +206,19 @@ class ContactRetries:
         finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
+        descends: bool = False,
     ) -> SettledScene:
         """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
-        guessed = _guessed(scene) if rougher else []
-        placed = balance(scene, costs, self._contact, footed=self._footed, apart=apart, start=start, guessed=guessed)
+        placed = balance(
+            scene,
+            costs,
+            self._contact,
+            footed=self._footed,
+            apart=apart,
+            start=start,
+            guessed=_guessed(scene) if rougher else [],
+            descends=descends,
+        )
         return self._on_best_footings(placed, finished)
 
     def _on_best_footings(

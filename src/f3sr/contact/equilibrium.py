@@ -138,6 +138,7 @@ def nearest_equilibrium(
     footings: Footings | None = None,
     guessed: Collection[int] = (),
     may_hold: Collection[int] = (),
+    descends: bool = False,
 ) -> Equilibrium:
     """Move bodies by little so that they touch where forces must act and balance gravity, without overlap.
 
@@ -145,7 +146,7 @@ def nearest_equilibrium(
     deep inside thin parts is then on the side where the others leave it room. Otherwise overlap ends little by little.
     ``start`` are moves to poses at rest, by id: the search begins there and keeps to the contacts that it finds closed.
     ``footings`` are made anew after each step, until rho is large. Without, bodies stand on their parts alone. If the
-    last steps come to no end, ``descended`` goes on from the best of them.
+    last steps come to no end, the best of them counts, or what it ``descends`` to.
     ``guessed``: ids of bodies whose friction is a guess, and may be larger. ``may_hold``: ids of bodies that something
     else may carry.
 
@@ -179,7 +180,7 @@ def nearest_equilibrium(
             best = left, work, here
     else:
         left, work, search = best
-        if work >= BALANCED:
+        if descends and work >= BALANCED:
             work, search = search.descended(left)
     friction = search.friction_needed(guessed)
     return Equilibrium(
@@ -248,14 +249,14 @@ class _EquilibriumSearch:
         work, best, way, trial = np.inf, self, np.zeros_like(self.x), self.copied()
         for _ in range(DESCENTS):
             here = trial.copied()
-            left_work, shift = trial.step(FINAL, tilts=TILTS, arms=True)
-            left = trial.left(here.cost, left_work)
+            there, shift = trial.step(FINAL, tilts=TILTS, arms=True)
+            left = trial.left(here.cost, there)
             if way.any() and left >= least:
                 way = way / 2
                 trial = best.copied()
                 trial._move(way)
                 continue
-            work, least, best, way = left_work, left, here, trial.x - here.x
+            work, least, best, way = there, left, here, trial.x - here.x
             if work < BALANCED and shift < STILL:
                 break
         return work, best
@@ -316,11 +317,11 @@ class _EquilibriumSearch:
         forces = self._forces(near, tilts)
         rates = self._rates(near.contacts)
         opening = np.column_stack([rates[: len(own.gaps)], self.clearance - own.gaps])
-        slope = forces.normal @ rates[closing]
-        dx = self._pulled(rho * slope, opening, price)
+        pull = rho * forces.normal @ rates[closing]
+        dx = self._pulled(pull, opening, price)
         if arms:
-            slope = slope + forces.arms
-            far = self._pulled(rho * slope, opening, price)
+            far = self._pulled(pull + rho * forces.arms, opening, price)
+            slope = pull / rho + forces.arms
             left, gain = forces.work + float(slope @ dx), float(slope @ (dx - far))
             dx = dx + np.clip(left / gain, 0.0, 1.0) * (far - dx) if gain > 0 else dx
         share = min(1.0, *(self._most(id, self.units[id] @ dx[place]) for id, place in self.places.items()))
@@ -411,10 +412,8 @@ class _EquilibriumSearch:
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
         normal, arms, left, work = np.zeros(len(near.gaps)), np.zeros(len(self.x)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
-        programme, middles = (
-            LinearProgramme(cost, equal, np.zeros(rows)),
-            np.array([self.middles[id] for id in self.ids]),
-        )
+        middles = np.array([self.middles[id] for id in self.ids])
+        programme = LinearProgramme(cost, equal, np.zeros(rows))
         for tilt, c in cases:
             upright, lean = balance.weights(c)
             found = programme.solve(equal=upright + lean @ tilt)

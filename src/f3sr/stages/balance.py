@@ -38,14 +38,16 @@ def balance(
     guessed: Collection[int] = (),
     may_hold: Collection[int] = (),
     most: int = 0,
+    descends: bool = False,
 ) -> Scene:
     """The scene with each contact group moved to an equilibrium near it (``contact.equilibrium``).
 
     Supports are not asked: what carries an object follows from the forces. ``costs`` are the (7, 7) precisions of
     ``nearest_equilibrium`` for what may move, by id; the others stay. Poses are in the world [m]; physics is not run.
     ``footed`` gives the footings on which objects end. ``apart`` begins the search where nothing overlaps, and
-    ``start`` where objects rest in another scene. Objects whose friction is ``guessed``, by id, get more where their
-    group would slide from there.
+    ``start`` where objects rest in another scene. Where it comes to no end it ``descends`` by more steps, which count
+    the arms of forces too. Objects whose friction is ``guessed``, by id, get more where their group would slide from
+    there.
 
     A group without an equilibrium near it gets one with objects fixed as if something unseen carried them, of those
     that it ``may_hold``, by id: one by one that without which least is left unbalanced. Where that would be more than
@@ -62,6 +64,7 @@ def balance(
             start={id: _move(scene[id], start[id]) for id in group} if start else None,
             guessed=[id for id in group if id in guessed],
             may_hold=[id for id in group if id in may_hold],
+            descends=descends,
         )
         while (found := seek(bodies_of(free), footings=partial(_footings, scene, footed))).unheld is not None:
             if not most:
