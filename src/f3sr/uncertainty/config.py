@@ -27,8 +27,8 @@ class UncertaintyConfig:
     """Standard deviation of a turn that nothing shows, a uniform one's [rad]."""
     scale: float = 0.2
     """Standard deviation of the logarithm of a scale that nothing shows."""
-    center: float = 0.005
-    """Standard deviation of an estimated principal point [longer image sides]."""
+    center: float = 0.0045
+    """Standard deviation of an estimated principal point [longer image sides]: what ten rendered scenes have."""
     focal: float = 0.01
     """Standard deviation of the logarithm of an estimated focal length, once levelled."""
     ground: float = 0.05
