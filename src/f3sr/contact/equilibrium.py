@@ -202,7 +202,8 @@ class _Forces:
     work: float
     """[mean weights times metres]."""
     arms: Array
-    """(7 n,) how the work changes with x as points of contact and centres of mass move, with gaps as they are."""
+    """(7 n,) how the work changes with x as points of contact and centres of mass move, with gaps as they are; 0 where
+    nobody asks."""
 
 
 class _EquilibriumSearch:
@@ -314,7 +315,7 @@ class _EquilibriumSearch:
         change the arms of forces and weights, as far as that may still lessen the work."""
         own, near, closing = self._near()
         self.overlap = float((self.clearance - own.gaps).max(initial=0.0))
-        forces = self._forces(near, tilts)
+        forces = self._forces(near, tilts, arms=arms)
         rates = self._rates(near.contacts)
         opening = np.column_stack([rates[: len(own.gaps)], self.clearance - own.gaps])
         pull = rho * forces.normal @ rates[closing]
@@ -393,8 +394,10 @@ class _EquilibriumSearch:
         tilts: Array,
         friction: Mapping[int, float] | None = None,
         held: Collection[int] = (),
+        *,
+        arms: bool = False,
     ) -> _Forces:
-        """Contact forces of least virtual work.
+        """Contact forces of least virtual work, with what their ``arms`` do to it.
 
         ``friction``, by id, instead of that of the bodies, of which ``HOLDS`` counts at most. ``held`` ones need no
         force either."""
@@ -410,7 +413,7 @@ class _EquilibriumSearch:
         unbalanced = np.repeat(UNBALANCED * is_free * balance.masses, 6)
         cost = np.r_[np.repeat(way * balance.units, CONE_EDGES), np.tile(unbalanced, 2)]
         equal = hstack([balance.wrenches, eye_array(rows), -eye_array(rows)], format="csc")
-        normal, arms, left, work = np.zeros(len(near.gaps)), np.zeros(len(self.x)), np.zeros(rows), list[float]()
+        normal, by_arms, left, work = np.zeros(len(near.gaps)), np.zeros(len(self.x)), np.zeros(rows), list[float]()
         cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
         middles = np.array([self.middles[id] for id in self.ids])
         programme = LinearProgramme(cost, equal, np.zeros(rows))
@@ -422,14 +425,15 @@ class _EquilibriumSearch:
                 continue
             pushes, slack = found.x[: -2 * rows].reshape(-1, CONE_EDGES), found.x[-2 * rows :]
             normal[balance.rows] += pushes.sum(1) * balance.units / (mean * len(cases))
-            on_upper = np.einsum("ke,keq,k->kq", pushes, balance.edges, balance.units)
-            rates = balance.arm_rates(on_upper, found.duals, middles, center=c, tilt=tilt) / (mean * len(cases))
-            arms += np.concatenate([self.units[id].T @ rate for id, rate in zip(self.ids, rates, strict=True)])
+            if arms:
+                on_upper = np.einsum("ke,keq,k->kq", pushes, balance.edges, balance.units)
+                rates = balance.arm_rates(on_upper, found.duals, middles, center=c, tilt=tilt) / (mean * len(cases))
+                by_arms += np.concatenate([self.units[id].T @ rate for id, rate in zip(self.ids, rates, strict=True)])
             left = np.maximum(left, slack.reshape(2, rows).max(0))
             work.append(found.value / mean)
         most = left.reshape(-1, 6).max(1) * is_free
         self.hanging |= {id for id, left in zip(self.ids, most.tolist(), strict=True) if left > UNHELD}
-        return _Forces(normal=normal, work=float(np.mean(work)), arms=arms)
+        return _Forces(normal=normal, work=float(np.mean(work)), arms=by_arms)
 
     def _rates(self, contacts: Contacts) -> Array:
         """(k, 7 n): how the gaps change with x."""

@@ -134,12 +134,17 @@ def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
         fixed=o.mobility == "fixed",
         mass=o.density * solid.volume * o.scale**3,
         center=solid.center * o.scale,
-        inertia=_simulable(o.density * solid.inertia * o.scale**5),
+        inertia=_simulable(inertia_of(o)),
         from_mesh=from_mesh,
         friction=(o.friction, TORSIONAL_FRICTION, o.rolling_friction),
         solref=restitution.solref(o.restitution) if bounces else None,
         parts=tuple(part.moved(scale) for part in o.solids),
     )
+
+
+def inertia_of(o: SceneObject) -> Array:
+    """(3, 3) [kg m2] about the centre of mass of an object's solid, however small."""
+    return o.density * solid_of(o)[0].inertia * o.scale**5
 
 
 def _simulable(inertia: Array) -> Array:

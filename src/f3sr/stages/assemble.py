@@ -14,11 +14,11 @@ from annotated_types import Interval
 from f3sr.core.camera import Camera
 from f3sr.core.resampling import resample
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
-from f3sr.files.bounds import MAX_FRICTION
+from f3sr.files.bounds import MAX_FRICTION, MIN_MOMENT
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
 from f3sr.language.grammar.materials import COMPACT, material_of, unknown_density
-from f3sr.physics.mujoco_model import LEAST_MOMENT, solid_of
+from f3sr.physics.mujoco_model import LEAST_MOMENT, inertia_of, solid_of
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Ground, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -169,8 +169,8 @@ def _told_of_fixed(o: SceneObject) -> Decision:
 
 
 def _told_of_moments(o: SceneObject) -> Decision | None:
-    least = o.density * float(np.linalg.eigvalsh(solid_of(o)[0].inertia)[0]) * o.scale**5
-    if least >= LEAST_MOMENT:
+    least = float(np.linalg.eigvalsh(inertia_of(o))[0])
+    if least >= MIN_MOMENT:
         return None
     choice = f"turns as if no principal moment of its inertia were below {LEAST_MOMENT:.2g} kg m2"
     reason = f"the least is {least:.2g} kg m2, and MuJoCo takes none so small"

@@ -183,9 +183,9 @@ def _better(
 def _shown(before: Scene, sunk: Scene, config: CloseConfig) -> frozenset[int]:
     """Objects that are lowered in groups that lose over ``SHOWN`` of visible IoU by that alone; none where a sensor
     tells how far away they are."""
-    if before.has_measured_depth:
-        return frozenset()
     changed = {o.id for o in before if sunk[o.id] is not o}
+    if before.has_measured_depth or not changed:
+        return frozenset()
     was, now = visible_ious(before), visible_ious(sunk)
     groups = groups_of(before, sunk, config.contact.apart)
     return frozenset(id for g in groups if mean_gain(g, now, was) > SHOWN for id in g & changed)
