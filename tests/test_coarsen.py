@@ -295,6 +295,18 @@ def test_a_footing_is_made_anew_whatever_lies_on_the_object(gap: float):
     assert corners[over, 2].min(initial=1.0) == pytest.approx(0, abs=1e-4)
 
 
+def test_what_is_held_keeps_its_footing():
+    """In a retry all but some objects are held, and the footing of what nothing moves is not made anew."""
+    slab = box(0, size=(0.3, 0.3, 0.1), at=(0, 0, 0.05 + REST))
+    wedge = cuboid((-0.05, -0.05, -0.001), (0.05, 0.05, 0))
+    o = made_of(1, [cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.1))], at=(0, 0, 0.101 + 3 * REST))
+    o = replace(o, footing=(wedge,), supports=(Support(id=0),), supported_by=0, mobility="fixed")
+    scene = scene_of(slab, o)
+    limits = dict.fromkeys((0, 1), LIMITS)
+    few = with_few_parts(scene, scene, {}, limits, footing=FootingConfig(), clearance=2 * REST)[1]
+    assert [p.volume for p in few.solids] == pytest.approx([1.01e-3])
+
+
 @pytest.mark.parametrize("most", [32, 64])
 def test_a_ball_gets_few_vertices_covers_its_mesh_and_stays_above_the_ground(most: int):
     mesh = ball_mesh(0.05)

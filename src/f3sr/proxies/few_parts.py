@@ -111,7 +111,7 @@ def with_few_parts(
         if id not in limits or not o.parts:
             continue
         others = {k: body for k, body in bodies.items() if k != id}
-        if o.footing and now.keys() & set(o.carriers):
+        if o.footing and o.mobility != "fixed" and now.keys() & set(o.carriers):
             members = scene.subtree(id)
             around = Compound.of(body for k, body in bodies.items() if k not in members)
             wedges, rise = footing_again(
