@@ -22,10 +22,13 @@ from f3sr.stages.align.config import (
     OrientationConfig,
     TiltConfig,
 )
+from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.occlusion import Occluders, comparable_region
 from f3sr.vision.photometric import Appearance
+from f3sr.vision.silhouette import iou
 
 WIDTH, HEIGHT = 320, 240
 K = np.array([[300.0, 0, 158], [0, 300, 121], [0, 0, 1]])
@@ -287,6 +290,29 @@ def test_an_object_that_nearer_ones_hide_stays_as_it_came() -> None:
     after, outcome = align(scene.with_objects(hidden), OBJECTS_ONLY)
     assert np.array_equal(after[1].T_world_object, hidden.T_world_object)
     assert any(d.about == 1 and d.fallback and "nearer objects hide" in d.reason for d in outcome.decisions)
+
+
+@pytest.mark.parametrize("way", [(0.02, -0.08, 0), (0.05, -0.1, -0.02), (-0.06, -0.06, 0)])
+def test_what_depths_do_not_order_hides_no_object_that_would_be_seen_before_it(way: tuple[float, float, float]) -> None:
+    """A book with another on it came too large and before its place on a desk, which does not hide it."""
+    desk, book, cover = (
+        thing(id, painted(trimesh.creation.box(size)), (0, 0, z))
+        for id, size, z in ((0, (0.5, 0.4, 0.04), 0.02), (1, (0.16, 0.12, 0.04), 0.06), (2, (0.13, 0.09, 0.001), 0.08))
+    )
+    scene = photographed(desk, book, cover)
+    came = scene[1].moved(pose(t=np.array(way)), scale=1.25, stage="test", reason="")
+
+    def found(doubted: frozenset[int]) -> tuple[float, list[str]]:
+        hiding = Occluders(nearer=[scene[0], scene[2]], in_part=[], doubted=doubted)
+        valid = comparable_region(came, hiding, scene)
+        view = ObjectEvidence(scene=scene, hiding=hiding, valid=valid, textured=came.mesh)
+        o, told = align_object(came, view, PLAIN)
+        shown = rasterizer.render([scene[0], o, scene[2]], CAMERA).ids == o.id
+        return iou(shown, o.mask), [d.choice for d in told]
+
+    (sure, _), (doubting, told) = found(frozenset()), found(frozenset({0, 2}))
+    assert doubting > sure + 0.2
+    assert "compared as if it were not hidden by object 0" in told
 
 
 def test_no_object_gets_a_worse_silhouette() -> None:

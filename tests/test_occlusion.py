@@ -43,6 +43,22 @@ def test_the_photo_orders_what_nearly_meets_in_depth(depth: float):
     assert [p.id for p in nearer[0]] == [1] and not nearer[1]
 
 
+@pytest.mark.parametrize(("share", "first"), [(0.6, 1), (1.0, 0)])
+def test_the_photo_orders_what_the_geometry_sees_at_several_distances(share: float, first: int):
+    """A wall behind a box. In some of the wall's pixels the geometry shows a surface far before it."""
+    wall, near = box(0, size=(0.3, 0.05, 0.3), at=(0, 0.08, 0.15)), box(1, at=(0, -0.05, 0.05))
+    scene = photographed(wall, near)
+    columns = np.flatnonzero(scene[0].mask.any(0))
+    left = np.zeros_like(scene[0].mask)
+    left[:, : columns[0] + round(share * (1 + columns[-1] - columns[0]))] = True
+    assert scene.geometry
+    points = np.where((scene[0].mask & left)[..., None], 0.6 * scene.geometry.points, scene.geometry.points)
+    wrong = replace(scene, geometry=replace(scene.geometry, points=points.astype(np.float32)))
+    found = occluders(wrong)
+    assert [p.id for p in found[1 - first].nearer] == [first] and not found[first].nearer
+    assert found[0].doubted == ({1} if first == 1 else set())
+
+
 def test_what_is_sunk_deep_is_behind():
     lower = box(0, size=(0.2, 0.2, 0.01), at=(0, 0, 0.105))
     scene = photographed(lower, box(1, size=(0.12, 0.12, 0.01), at=(0, 0, 0.115)))

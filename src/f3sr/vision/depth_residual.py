@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,16 +75,19 @@ class DepthEvidence:
             spread=float(np.median(np.abs(ratio - median))),
             size=float(np.median(np.abs(ratio))),
             pixels=len(ratio),
-            before=self._before(rendered, np.exp(-median), BEFORE * o.size),
+            before=self._before(np.exp(-median) * rendered, BEFORE * o.size),
         )
 
-    def _before(self, rendered: Array, k: float, least: float) -> float:
-        """The share of k times a depth image (h, w), inf where it is empty, that is before what hides it by ``least``
-        [m]."""
+    def within(self, hiding: Mask) -> DepthEvidence:
+        """With only some pixels (h, w) of what may hide the object."""
+        return replace(self, hiding=None if self.hiding is None else np.where(hiding, self.hiding, np.float32(np.nan)))
+
+    def _before(self, depth: Array, least: float) -> float:
+        """The share of a depth image (h, w), inf where it is empty, that is before what hides it by ``least`` [m]."""
         if self.hiding is None:
             return 0.0
-        covered = np.isfinite(rendered)
-        return float(np.count_nonzero(k * rendered[covered] < self.hiding[covered] - least) / np.count_nonzero(covered))
+        covered = np.isfinite(depth)
+        return float(np.count_nonzero(depth[covered] < self.hiding[covered] - least) / np.count_nonzero(covered))
 
     def mismatch(self, o: SceneObject, velocities: Array, *, most: float) -> Local:
         """Mean of |log(rendered / measured depth) - its median|, each at most ``most``, with derivatives by parameters

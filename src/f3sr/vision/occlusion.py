@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,7 +25,10 @@ ENOUGH = 20
 UNSURE = 0.04
 """Median distance between two objects [size of the smaller] below which depths do not order them: poses are off by as
 much. In 21 scenes only nested bowls come as near, in five pairs, of which depths ordered three wrongly. Nor do depths
-order what is as near as the geometry errs."""
+order what is as near as the geometry errs, or as the two may be."""
+SPREAD = (25, 75)
+"""Percentiles of the factors from an object's depths to the geometry's between which its own may be. Of an object
+that is off across the rays other surfaces are compared: of a bowl's rim its inside."""
 LEAST_SHOWN = 1 / 3
 """Where two such objects both cover a pixel, the photo shows one of them. From this share of such pixels on, an object
 may hide the other."""
@@ -51,6 +54,12 @@ class Occluders:
 
     nearer: list[SceneObject]
     in_part: list[tuple[SceneObject, Mask]]
+    doubted: frozenset[int] = frozenset()
+    """Ids of those ``nearer`` ones that depths do not order: the photo shows more of them where both would be seen."""
+
+    def without(self, ids: Collection[int]) -> Occluders:
+        """All but some of the ``nearer`` ones."""
+        return replace(self, nearer=[p for p in self.nearer if p.id not in ids])
 
     def pixels(self, height: int, width: int) -> Mask:
         """The pixels (H, W) in which the object may be hidden."""
@@ -80,7 +89,11 @@ def occluders(scene: Scene) -> dict[int, Occluders]:
         known = {id, *(p.id for p in nearer)}
         farther = [other for k, other in views.items() if k not in known] if scene.geometry else []
         parts = ((other.object, _nearer_part(other, mine)) for other in farther)
-        found[id] = Occluders(nearer=nearer, in_part=[(p, there) for p, there in parts if there is not None])
+        found[id] = Occluders(
+            nearer=nearer,
+            in_part=[(p, there) for p, there in parts if there is not None],
+            doubted=frozenset(p.id for p in nearer if _shown(views[p.id], mine) is not None),
+        )
     return found
 
 
@@ -93,6 +106,8 @@ class _DepthView:
     mask: Mask
     error: float
     """Standard deviation of the geometry's depths as a share of them; 0 without a geometry."""
+    room: tuple[float, float]
+    """By which shares of its depth it may be nearer, and farther; 0 where the geometry tells nothing."""
 
 
 def _views(scene: Scene) -> dict[int, _DepthView]:
@@ -101,8 +116,9 @@ def _views(scene: Scene) -> dict[int, _DepthView]:
     error = sigma(scene.geometry) if scene.geometry else 0.0
     for o in scene:
         mask = resample(o.mask, small.width, small.height)
-        depth = _at_its_distance(mask, rasterizer.render([o], small).depth, seen)
-        views[o.id] = _DepthView(object=o, depth=depth, mask=mask, error=error)
+        depth = rasterizer.render([o], small).depth
+        k, room = _distance(mask, depth, seen)
+        views[o.id] = _DepthView(object=o, depth=k * depth, mask=mask, error=error, room=room)
     return views
 
 
@@ -118,13 +134,14 @@ def _seen_depths(scene: Scene, camera: Camera) -> Array:
     return resample(depths, camera.width, camera.height)
 
 
-def _at_its_distance(mask: Mask, depth: Array, seen: Array) -> Array:
-    """An object's depth image (h, w) where the geometry's depths (h, w) see its mask (h, w); as it is where too little
-    is."""
+def _distance(mask: Mask, depth: Array, seen: Array) -> tuple[float, tuple[float, float]]:
+    """The factor from an object's depths (h, w) to where the geometry's depths (h, w) see its mask (h, w), and by which
+    shares of it it may be less or more; 1 and 0 where too little is seen."""
     both = mask & np.isfinite(depth) & np.isfinite(seen)
     if np.count_nonzero(both) <= ENOUGH:
-        return depth
-    return depth * float(np.median(seen[both] / depth[both]))
+        return 1.0, (0.0, 0.0)
+    least, k, most = np.percentile(seen[both] / depth[both], (SPREAD[0], 50, SPREAD[1])).tolist()
+    return k, (1 - least / k, most / k - 1)
 
 
 def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
@@ -251,7 +268,7 @@ def _is_nearer(a: _DepthView, b: _DepthView) -> bool:
     """Whether an object lies in front of another; True when unsure."""
     both = np.isfinite(a.depth) & np.isfinite(b.depth)
     if np.count_nonzero(both) > ENOUGH:
-        shown = _shown(a, b, both)
+        shown = _shown(a, b)
         return bool(np.median(a.depth[both] / b.depth[both]) < 1 - ROUNDING) if shown is None else shown > LEAST_SHOWN
     if not np.isfinite(a.depth).any() or not np.isfinite(b.depth).any():
         return True
@@ -259,12 +276,17 @@ def _is_nearer(a: _DepthView, b: _DepthView) -> bool:
     return first < (1 - ROUNDING) * second
 
 
-def _shown(a: _DepthView, b: _DepthView, both: Mask) -> float | None:
-    """The share of the first of two objects in what the photo shows of them where they ``both`` are (h, w); None where
-    depths order them, and where it shows too little."""
-    near = max(UNSURE * min(a.object.size, b.object.size), a.error * float(np.median(a.depth[both])))
+def _shown(a: _DepthView, b: _DepthView) -> float | None:
+    """The share of the first of two objects in what the photo shows of them where both are; None where depths order
+    them, and where both are, or it shows, too little."""
+    both = np.isfinite(a.depth) & np.isfinite(b.depth)
+    if np.count_nonzero(both) <= ENOUGH:
+        return None
+    apart, depth = float(np.median(b.depth[both] - a.depth[both])), float(np.median(a.depth[both]))
+    front, back = (a, b) if apart > 0 else (b, a)
+    near = max(UNSURE * min(a.object.size, b.object.size), depth * max(a.error, front.room[1] + back.room[0]))
     first, second = (np.count_nonzero(both & v.mask) for v in (a, b))
-    if abs(float(np.median(b.depth[both] - a.depth[both]))) >= near or first + second <= ENOUGH:
+    if abs(apart) >= near or first + second <= ENOUGH:
         return None
     return float(first / (first + second))
 
@@ -280,6 +302,6 @@ def _nearer_part(a: _DepthView, b: _DepthView) -> Mask | None:
     both = np.isfinite(a.depth) & np.isfinite(b.depth)
     before = np.zeros_like(both)
     before[both] = a.depth[both] < (1 - ROUNDING) * b.depth[both]
-    if np.count_nonzero(before) <= ENOUGH or _shown(a, b, both) is not None:
+    if np.count_nonzero(before) <= ENOUGH or _shown(a, b) is not None:
         return None
     return before[nearest_in(both)]

@@ -92,7 +92,8 @@ def _objects_aligned(
         if before is not None and not _differ(now, before, mask):
             return o, []
         compared[o.id] = now
-        found, told = align_object(o, ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh), config)
+        view = ObjectEvidence(scene=scene, hiding=hiding[o.id], valid=valid, textured=full[o.id].mesh)
+        found, told = align_object(o, view, config)
         if before is None:
             return found, told
         kept = any(d.fallback for d in told)

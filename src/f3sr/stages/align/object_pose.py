@@ -5,7 +5,7 @@ Every phase ends with a guard and leaves the object as it was where it did not g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -16,7 +16,7 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, rotation_about, turn_about
 from f3sr.mesh_poses.orientations import Orientation, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene, SceneObject, names_of
 from f3sr.stages.align.config import AlignConfig
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
@@ -24,6 +24,7 @@ from f3sr.vision.decimated import outlined
 from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SPREAD, sigma
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.occlusion import Occluders, comparable_region
 from f3sr.vision.photometric import Appearance, principal_axes
 from f3sr.vision.silhouette import LossWeights, Mask
 from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
@@ -34,18 +35,26 @@ NOISE = 1.5
 """Spread of an object's depths, in standard deviations of the geometry, that is still its noise: a mean is exceeded."""
 LEAST_IOU = 0.2
 """IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
+MOST_BEFORE = 0.1
+"""Share of an object before what may hide it from which on that is doubted: nested bowls have up to .07."""
 BLIND_TURN = np.radians(16)
 """The turn that a silhouette is tried at: a smaller one is hidden by what is wrong of a shape [rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ObjectEvidence:
-    """What the photo shows of one object: ``valid`` (H, W) is where nearer objects leave it visible."""
+    """What the photo shows of one object: ``valid`` (H, W) is where what is ``hiding`` it leaves it visible."""
 
     scene: Scene
+    hiding: Occluders
     valid: Mask
     textured: Mesh
     """The object's own mesh, which the one that silhouettes are drawn from may be a lighter copy of."""
+
+    def without(self, ids: Collection[int], o: SceneObject) -> ObjectEvidence:
+        """As if some nearer objects did not hide the object."""
+        hiding = self.hiding.without(ids)
+        return replace(self, hiding=hiding, valid=comparable_region(o, hiding, self.scene))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,6 +89,26 @@ class _Evidence:
     appearance: Appearance | None
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Found:
+    """Where an object came from and where it ended, and what was decided on the way."""
+
+    came: _Placed
+    placed: _Placed
+    depth: DepthEvidence | None
+    decisions: list[Decision]
+
+    @cached_property
+    def before(self) -> float:
+        """The share of it that is before what may hide it."""
+        return self.depth.residual(self.placed.object).before if self.depth else 0.0
+
+    @property
+    def seen(self) -> float:
+        """How well it fits what is seen."""
+        return self.placed.iou - self.before
+
+
 _Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Placed, list[Decision]]]
 
 
@@ -87,13 +116,14 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
     """The object where its silhouette fits its mask best, improved by the extensions that are enabled."""
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
-    fit = _object_fit(o, view, config, resolution=config.resolution)
-    placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
-    evidence = _evidence(o, view, config)
-    decisions: list[Decision] = []
-    for phase in _phases(o, evidence, config):
-        placed, more = phase(placed, evidence, view, config)
-        decisions += more
+    found = _searched(o, view, config)
+    if wrong := _wrongly_hiding(found, view):
+        also = _searched(o, view.without(wrong, o), config)
+        if also.seen > found.seen:
+            choice = f"compared as if it were not hidden by {names_of(wrong)}"
+            reason = f"of its pixels {found.before:.0%} would be seen before what hides them, now {also.before:.0%}"
+            found = replace(also, decisions=[*also.decisions, Decision(choice=choice, reason=reason, about=o.id)])
+    came, placed, decisions = found.came, found.placed, found.decisions
     if placed.iou < LEAST_IOU:
         reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
         return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
@@ -101,6 +131,28 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
         return o, decisions
     was, now = came.iou, placed.iou
     return _as_one_motion(o, placed.object, reason=f"valid mask IoU {was:.4f} -> {now:.4f}"), decisions
+
+
+def _searched(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Found:
+    fit = _object_fit(o, view, config, resolution=config.resolution)
+    placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
+    evidence, decisions = _evidence(o, view, config), list[Decision]()
+    for phase in _phases(o, evidence, config):
+        placed, more = phase(placed, evidence, view, config)
+        decisions += more
+    return _Found(came=came, placed=placed, depth=evidence.depth, decisions=decisions)
+
+
+def _wrongly_hiding(found: _Found, view: ObjectEvidence) -> list[int]:
+    """Ids of what only the photo orders, and before which the object would be seen where it was found."""
+    if found.depth is None or not view.hiding.doubted or found.before <= MOST_BEFORE:
+        return []
+    window, wrong = found.depth.camera, list[int]()
+    for p in view.hiding.nearer:
+        there = sampled(p.mask, view.scene.camera, window, fill=False)
+        if p.id in view.hiding.doubted and found.depth.within(there).residual(found.placed.object).before > MOST_BEFORE:
+            wrong.append(p.id)
+    return wrong
 
 
 def _phases(o: SceneObject, evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
