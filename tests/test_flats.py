@@ -116,3 +116,9 @@ def test_delivered_parts_have_plane_flats():
     few = with_few_parts(scene, scene, {}, {1: CoarsenConfig().limits()}, footing=FootingConfig(), clearance=2.6e-4)[1]
     assert plane_of_underside(upper.parts[0])[1] > 1e-6
     assert plane_of_underside(few.parts[0])[1] < 1e-14
+
+
+def test_a_part_thinner_than_what_counts_as_flat_stays_as_it_is():
+    base = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.02, 0], [0, 0.02, 0]])
+    thin = ConvexPart.hull_of(np.concatenate([base, base[:3] * 0.6 + [0.003, 0.003, FLAT / 2]]))
+    assert flattened(thin, FLAT) is thin

@@ -55,7 +55,7 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
 
     A flat has at least four vertices, for a triangle is plane. The part grows: a vertex moves outward onto the planes
     of all its flats, those of large faces first. It moves by no more than ``within``, else it stays off that flat. So
-    none passes the plane of another flat. The part itself if all of that is so already."""
+    none passes the plane of another flat. The part itself if all of that is so already, or it is as thin."""
     met, rounding = [ShortestWay.none() for _ in part.vertices], ROUNDING * np.ptp(part.vertices, axis=0).max()
     for plane, on in facets(part, within):
         for v in np.flatnonzero(on) if on.sum() > 3 else ():
@@ -66,7 +66,10 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
     ways = np.array([each.way for each in met])
     if np.abs(ways).max() <= rounding:
         return part
-    return ConvexPart.hull_of(part.vertices + ways)
+    try:
+        return ConvexPart.hull_of(part.vertices + ways)
+    except ValueError:  # all on one plane
+        return part
 
 
 def facets(part: ConvexPart, within: float) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
