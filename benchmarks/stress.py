@@ -34,8 +34,8 @@ SCANS = ("scan_pile", "scan_stack", "scan_scatter", "scan_mixed")
 """Scans as the ten rendered scenes have them; by default they are not run."""
 GROWTH = (5, 10, 20, 50)
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    *("evaluate", "inpaint"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "coarsen"),
+    *("describe", "uncertainty", "evaluate", "inpaint"),
 )
 COLUMNS = (
     *(
