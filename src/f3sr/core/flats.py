@@ -55,7 +55,8 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
 
     A flat has at least four vertices, for a triangle is plane. The part grows: a vertex moves outward onto the planes
     of all its flats, those of large faces first. It moves by no more than ``within``, else it stays off that flat. So
-    none passes the plane of another flat. The part itself if all of that is so already, or it is as thin."""
+    none passes the plane of another flat. The part itself if all of that is so already, and
+    where it is no thicker than that."""
     met, rounding = [ShortestWay.none() for _ in part.vertices], ROUNDING * np.ptp(part.vertices, axis=0).max()
     for plane, on in facets(part, within):
         for v in np.flatnonzero(on) if on.sum() > 3 else ():

@@ -266,7 +266,7 @@ def around(mask: Mask, *, widely: bool = False) -> tuple[slice, slice]:
 
 def _is_nearer(a: _DepthView, b: _DepthView) -> bool:
     """Whether an object lies in front of another; True when unsure."""
-    both = np.isfinite(a.depth) & np.isfinite(b.depth)
+    both = _both(a, b)
     if np.count_nonzero(both) > ENOUGH:
         shown = _shown(a, b)
         return bool(np.median(a.depth[both] / b.depth[both]) < 1 - ROUNDING) if shown is None else shown > LEAST_SHOWN
@@ -276,10 +276,15 @@ def _is_nearer(a: _DepthView, b: _DepthView) -> bool:
     return first < (1 - ROUNDING) * second
 
 
+def _both(a: _DepthView, b: _DepthView) -> Mask:
+    """The pixels (h, w) that two objects cover."""
+    return np.isfinite(a.depth) & np.isfinite(b.depth)
+
+
 def _shown(a: _DepthView, b: _DepthView) -> float | None:
     """The share of the first of two objects in what the photo shows of them where both are; None where depths order
     them, and where both are, or it shows, too little."""
-    both = np.isfinite(a.depth) & np.isfinite(b.depth)
+    both = _both(a, b)
     if np.count_nonzero(both) <= ENOUGH:
         return None
     apart, depth = float(np.median(b.depth[both] - a.depth[both])), float(np.median(a.depth[both]))
@@ -299,7 +304,7 @@ def _nearer_part(a: _DepthView, b: _DepthView) -> Mask | None:
     (bottom, top), rim = b.object.bounds_world[:, 2], a.object.bounds_world[1, 2]
     if rim - bottom < BESIDE * (top - bottom):
         return None
-    both = np.isfinite(a.depth) & np.isfinite(b.depth)
+    both = _both(a, b)
     before = np.zeros_like(both)
     before[both] = a.depth[both] < (1 - ROUNDING) * b.depth[both]
     if np.count_nonzero(before) <= ENOUGH or _shown(a, b) is not None:
