@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -54,12 +54,6 @@ class Occluders:
 
     nearer: list[SceneObject]
     in_part: list[tuple[SceneObject, Mask]]
-    doubted: frozenset[int] = frozenset()
-    """Ids of those ``nearer`` ones that depths do not order: the photo shows more of them where both would be seen."""
-
-    def without(self, ids: Collection[int]) -> Occluders:
-        """All but some of the ``nearer`` ones."""
-        return replace(self, nearer=[p for p in self.nearer if p.id not in ids])
 
     def pixels(self, height: int, width: int) -> Mask:
         """The pixels (H, W) in which the object may be hidden."""
@@ -92,7 +86,6 @@ def occluders(scene: Scene) -> dict[int, Occluders]:
         found[id] = Occluders(
             nearer=nearer,
             in_part=[(p, there) for p, there in parts if there is not None],
-            doubted=frozenset(p.id for p in nearer if _shown(views[p.id], mine) is not None),
         )
     return found
 

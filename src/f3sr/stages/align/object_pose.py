@@ -24,7 +24,7 @@ from f3sr.vision.decimated import outlined
 from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SPREAD, sigma
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
-from f3sr.vision.occlusion import Occluders, comparable_region
+from f3sr.vision.occlusion import Occluders, around, comparable_region
 from f3sr.vision.photometric import Appearance, principal_axes
 from f3sr.vision.silhouette import LossWeights, Mask
 from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
@@ -36,7 +36,8 @@ NOISE = 1.5
 LEAST_IOU = 0.2
 """IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
 MOST_BEFORE = 0.1
-"""Share of an object before what may hide it from which on that is doubted: nested bowls have up to .07."""
+"""Share of an object that is before another one in the photo, from which on that does not hide it: nested bowls have up
+to .07."""
 BLIND_TURN = np.radians(16)
 """The turn that a silhouette is tried at: a smaller one is hidden by what is wrong of a shape [rad]."""
 
@@ -51,9 +52,9 @@ class ObjectEvidence:
     textured: Mesh
     """The object's own mesh, which the one that silhouettes are drawn from may be a lighter copy of."""
 
-    def without(self, ids: Collection[int], o: SceneObject) -> ObjectEvidence:
-        """As if some nearer objects did not hide the object."""
-        hiding = self.hiding.without(ids)
+    def hidden_by_any(self, o: SceneObject, *, but: Collection[int] = ()) -> ObjectEvidence:
+        """As if every other object, ``but`` some, might hide the object."""
+        hiding = Occluders(nearer=[p for p in self.scene if p.id not in {o.id, *but}], in_part=[])
         return replace(self, hiding=hiding, valid=comparable_region(o, hiding, self.scene))
 
 
@@ -95,18 +96,7 @@ class _Found:
 
     came: _Placed
     placed: _Placed
-    depth: DepthEvidence | None
     decisions: list[Decision]
-
-    @cached_property
-    def before(self) -> float:
-        """The share of it that is before what may hide it."""
-        return self.depth.residual(self.placed.object).before if self.depth else 0.0
-
-    @property
-    def seen(self) -> float:
-        """How well it fits what is seen."""
-        return self.placed.iou - self.before
 
 
 _Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Placed, list[Decision]]]
@@ -116,13 +106,7 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
     """The object where its silhouette fits its mask best, improved by the extensions that are enabled."""
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
-    found = _searched(o, view, config)
-    if wrong := _wrongly_hiding(found, view):
-        also = _searched(o, view.without(wrong, o), config)
-        if also.seen > found.seen:
-            choice = f"compared as if it were not hidden by {names_of(wrong)}"
-            reason = f"of its pixels {found.before:.0%} would be seen before what hides them, now {also.before:.0%}"
-            found = replace(also, decisions=[*also.decisions, Decision(choice=choice, reason=reason, about=o.id)])
+    found = _hidden_by_any(o, _searched(o, view, config), view, config)
     came, placed, decisions = found.came, found.placed, found.decisions
     if placed.iou < LEAST_IOU:
         reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
@@ -140,19 +124,52 @@ def _searched(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Fou
     for phase in _phases(o, evidence, config):
         placed, more = phase(placed, evidence, view, config)
         decisions += more
-    return _Found(came=came, placed=placed, depth=evidence.depth, decisions=decisions)
+    return _Found(came=came, placed=placed, decisions=decisions)
 
 
-def _wrongly_hiding(found: _Found, view: ObjectEvidence) -> list[int]:
-    """Ids of what only the photo orders, and before which the object would be seen where it was found."""
-    if found.depth is None or not view.hiding.doubted or found.before <= MOST_BEFORE:
+def _hidden_by_any(o: SceneObject, found: _Found, view: ObjectEvidence, config: AlignConfig) -> _Found:
+    """What was found, unless the object fits clearly better where it came, or where it is found if any other object may
+    hide it, or any but those before which it would be seen.
+
+    Poses that are off tell wrongly what hides what. The geometry tells it of every pose by itself: what is before the
+    surface that the photo shows is not hidden. So all are compared where any other object may hide them, less what is
+    before it."""
+    freely, search = view.hidden_by_any(o), config.orientations
+    evidence = _evidence(o, freely, config)
+    if evidence.depth is None or freely.valid[around(o.mask)].all():
+        return found
+
+    def scores(placed: _Placed) -> _Scores:
+        fit = _object_fit(placed.object, freely, config, resolution=config.resolution)
+        return _scores(_Placed(base=placed.object, fit=fit, u=np.zeros(6)), evidence, freely, config)
+
+    def or_better(found: _Found, but: Collection[int]) -> _Found:
+        now = scores(found.placed)
+        if min(found.placed.iou, now.iou) - now.before >= search.enough:
+            return found
+        also = _searched(o, view.hidden_by_any(o, but=but), config)
+        after = scores(also.placed)
+        if after.miss > search.share * now.miss:
+            return found
+        choice = f"compared as if any other object{f' but {names_of(but)}' if but else ''} might hide it"
+        return replace(also, decisions=[*also.decisions, Decision(choice=choice, reason=now.told(after), about=o.id)])
+
+    came, now = scores(found.came), scores(found.placed)
+    if came.miss < search.share * now.miss:
+        decision = Decision(choice="stays, as any other object may hide it", reason=now.told(came), about=o.id)
+        found = replace(found, placed=found.came, decisions=[decision])
+    if (view.valid & ~freely.valid)[around(o.mask)].any():
+        found = or_better(found, ())
+    wrong = _seen_before(found.placed.object, evidence.depth, view.scene)
+    return or_better(found, wrong) if wrong else found
+
+
+def _seen_before(o: SceneObject, depth: DepthEvidence, scene: Scene) -> list[int]:
+    """Ids of the objects before which an object would be seen."""
+    if depth.residual(o).before <= MOST_BEFORE:
         return []
-    window, wrong = found.depth.camera, list[int]()
-    for p in view.hiding.nearer:
-        there = sampled(p.mask, view.scene.camera, window, fill=False)
-        if p.id in view.hiding.doubted and found.depth.within(there).residual(found.placed.object).before > MOST_BEFORE:
-            wrong.append(p.id)
-    return wrong
+    masks = ((p.id, sampled(p.mask, scene.camera, depth.camera, fill=False)) for p in scene if p.id != o.id)
+    return [id for id, mask in masks if depth.within(mask).residual(o).before > MOST_BEFORE]
 
 
 def _phases(o: SceneObject, evidence: _Evidence, config: AlignConfig) -> list[_Phase]:

@@ -1,10 +1,11 @@
-"""Two ways into contact: lifts and horizontal moves, and moves in space where those lose much of the masks."""
+"""Ways into contact: lifts and horizontal moves, and others where those lose much of the masks."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from f3sr.report import Decision
 from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import part, part_in_space
-from f3sr.stages.separate.placement import Placement
+from f3sr.stages.separate.placement import Placement, Saved
 from f3sr.stages.separate.support_contact import seat
 
 PASSES = 3
@@ -26,9 +27,9 @@ less errors of measured depth."""
 def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Bring each body onto its support and end all overlap.
 
-    Groups that lose much of their masks by lifts and horizontal moves also try moves in space, the others held. Each
-    group goes the way that keeps more of its masks, if that leaves no new overlap. Moves in space go along viewing
-    rays too, so there are none where objects only lift."""
+    Groups that lose much of their masks by lifts and horizontal moves also try other ways, the others held. Each group
+    goes the way that keeps most of its masks, if that leaves no new overlap. All of them go along viewing rays, so
+    there are none where objects only lift."""
     start, came = layout.saved(), layout.moved_scene()
     before = _scores(came)
     _by_lifts(layout, config)
@@ -40,15 +41,32 @@ def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decisi
         return []
     overlapping = _overlapping(layout)
     tried = frozenset(id for g in lost for id in g)
-    layout.restore(layout.saved_with(start, tried))
-    with _held(layout, tried):
-        _in_space(layout, config)
-    second, new = _scores(layout.moved_scene()), _overlapping(layout) - overlapping
-    better = [g for g in lost if _mean(second, g) > _mean(first, g) and not g & new]
-    space = layout.saved()
+    ends = list[tuple[str, Mapping[int, float], frozenset[int], Saved]]()
+    for told, move in _other_ways(layout, tried, config).items():
+        layout.restore(layout.saved_with(start, tried))
+        with _held(layout, tried):
+            move()
+        ends.append((told, _scores(layout.moved_scene()), _overlapping(layout) - overlapping, layout.saved()))
     layout.restore(lifted)
-    layout.restore(layout.saved_with(space, [id for g in better for id in g]))
-    return [_told(g, before, first, second) for g in better]
+    decisions = list[Decision]()
+    for g in lost:
+        told, scores, new, end = max(ends, key=lambda e: (not g & e[2], _mean(e[1], g)))
+        if not g & new and _mean(scores, g) > _mean(first, g):
+            layout.restore(layout.saved_with(end, g))
+            decisions.append(_told(told, g, before, first, scores))
+    return decisions
+
+
+def _other_ways(layout: Placement, tried: Collection[int], config: SeparateConfig) -> dict[str, Callable[[], None]]:
+    """Moves by what they are told as: in space, and as lifts, but by one standard deviation along viewing rays at most.
+
+    Bowls in bowls would leave each other along a ray, as no silhouette changes: only what hides what."""
+    error = max(layout.depth_sigma[id] for id in tried)
+    near = replace(config, max_ray_scale=min(error, config.max_ray_scale))
+    return {
+        "parted in space": partial(_in_space, layout, config),
+        "parted near where the photo shows them": partial(_by_lifts, layout, near),
+    }
 
 
 def _by_lifts(layout: Placement, config: SeparateConfig) -> None:
@@ -95,10 +113,14 @@ def _mean(seen: Mapping[int, float], group: Collection[int]) -> float:
 
 
 def _told(
-    group: Collection[int], before: Mapping[int, float], lifts: Mapping[int, float], space: Mapping[int, float]
+    choice: str,
+    group: Collection[int],
+    before: Mapping[int, float],
+    lifts: Mapping[int, float],
+    after: Mapping[int, float],
 ) -> Decision:
     return Decision(
-        choice=f"parted in space: {', '.join(name_of(id) for id in sorted(group))}",
-        reason=f"score of the group {_mean(before, group):.3f} -> {_mean(space, group):.3f}, and "
+        choice=f"{choice}: {', '.join(name_of(id) for id in sorted(group))}",
+        reason=f"score of the group {_mean(before, group):.3f} -> {_mean(after, group):.3f}, and "
         f"{_mean(lifts, group):.3f} by lifts and horizontal moves",
     )
