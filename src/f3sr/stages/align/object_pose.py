@@ -35,6 +35,9 @@ NOISE = 1.5
 """Spread of an object's depths, in standard deviations of the geometry, that is still its noise: a mean is exceeded."""
 LEAST_IOU = 0.2
 """IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
+CONTESTED = 0.04
+"""IoU that an object misses only because of what is believed to hide it, plus its share before what the photo shows.
+From here on it is sought as if any other object might hide it. Where that helped it was .05 and more."""
 MOST_BEFORE = 0.1
 """Share of an object that is before another one in the photo, from which on that does not hide it: nested bowls have up
 to .07."""
@@ -134,7 +137,7 @@ def _hidden_by_any(o: SceneObject, found: _Found, view: ObjectEvidence, config: 
     Poses that are off tell wrongly what hides what. The geometry tells it of every pose by itself: what is before the
     surface that the photo shows is not hidden. So all are compared where any other object may hide them, less what is
     before it."""
-    freely, search = view.hidden_by_any(o), config.orientations
+    freely, share = view.hidden_by_any(o), config.orientations.share
     evidence = _evidence(o, freely, config)
     if evidence.depth is None or freely.valid[around(o.mask)].all():
         return found
@@ -145,17 +148,17 @@ def _hidden_by_any(o: SceneObject, found: _Found, view: ObjectEvidence, config: 
 
     def or_better(found: _Found, but: Collection[int]) -> _Found:
         now = scores(found.placed)
-        if min(found.placed.iou, now.iou) - now.before >= search.enough:
+        if now.iou - found.placed.iou + now.before < CONTESTED:
             return found
         also = _searched(o, view.hidden_by_any(o, but=but), config)
         after = scores(also.placed)
-        if after.miss > search.share * now.miss:
+        if after.miss > share * now.miss:
             return found
         choice = f"compared as if any other object{f' but {names_of(but)}' if but else ''} might hide it"
         return replace(also, decisions=[*also.decisions, Decision(choice=choice, reason=now.told(after), about=o.id)])
 
     came, now = scores(found.came), scores(found.placed)
-    if came.miss < search.share * now.miss:
+    if came.miss < share * now.miss:
         decision = Decision(choice="stays, as any other object may hide it", reason=now.told(came), about=o.id)
         found = replace(found, placed=found.came, decisions=[decision])
     if (view.valid & ~freely.valid)[around(o.mask)].any():

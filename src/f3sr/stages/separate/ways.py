@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Mapping
+from collections.abc import Collection, Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -20,53 +20,81 @@ from f3sr.stages.separate.support_contact import seat
 PASSES = 3
 """Maximum number of passes. A pass brings objects onto supports, then ends overlap, which may lift them off again."""
 LOST = 0.03
-"""Mean score that a group loses by lifts and horizontal moves, from which on moves in space are tried too: visible IoU,
-less errors of measured depth."""
+"""Mean score, or visible IoU, that a group loses by lifts and horizontal moves, from which on other ways are tried."""
 
 
 def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Bring each body onto its support and end all overlap.
 
-    Groups that lose much of their masks by lifts and horizontal moves also try other ways, the others held. Each group
-    goes the way that keeps most of its masks, if that leaves no new overlap. All of them go along viewing rays, so
-    there are none where objects only lift."""
-    start, came = layout.saved(), layout.moved_scene()
-    before = _scores(came)
+    Groups that lose much of their score by lifts and horizontal moves also try moves in space. Those that lose much of
+    their visible IoU also try lifts with short moves along viewing rays: long ones change no silhouette, but what hides
+    what. Others are held meanwhile. Each group goes the way that keeps most of its score, if that leaves no new
+    overlap. All of them go along viewing rays, so there are none where objects only lift."""
+    start = _End.of(layout)
     _by_lifts(layout, config)
-    lifted, there = layout.saved(), layout.moved_scene()
-    first = _scores(there)
-    groups = [g for g in groups_of(came, there, config.contact.apart) if len(g) > 1]
-    lost = [g for g in groups if _mean(before, g) - _mean(first, g) > LOST]
-    if not lost or not config.max_ray_scale:
+    lifted = _End.of(layout)
+    groups = [g for g in groups_of(start.scene, lifted.scene, config.contact.apart) if len(g) > 1]
+    if not config.max_ray_scale:
         return []
-    overlapping = _overlapping(layout)
-    tried = frozenset(id for g in lost for id in g)
-    ends = list[tuple[str, Mapping[int, float], frozenset[int], Saved]]()
-    for told, move in _other_ways(layout, tried, config).items():
-        layout.restore(layout.saved_with(start, tried))
-        with _held(layout, tried):
-            move()
-        ends.append((told, _scores(layout.moved_scene()), _overlapping(layout) - overlapping, layout.saved()))
-    layout.restore(lifted)
+    far = [g for g in groups if start.score(g) - lifted.score(g) > LOST]
+    hidden = [g for g in groups if start.iou(g) - lifted.iou(g) > LOST]
+    near = replace(config, max_ray_scale=min(config.max_ray_scale, max(layout.depth_sigma.values())))
+    ways = list[_Way]()
+    for told, tried, move in (
+        ("in space", far, partial(_in_space, layout, config)),
+        ("near their places", hidden, partial(_by_lifts, layout, near)),
+    ):
+        if tried:
+            moving = frozenset(id for g in tried for id in g)
+            layout.restore(lifted.saved)
+            layout.restore(layout.saved_with(start.saved, moving))
+            with _held(layout, moving):
+                move()
+            ways.append(_Way(told=told, groups=tried, end=_End.of(layout)))
+    layout.restore(lifted.saved)
     decisions = list[Decision]()
-    for g in lost:
-        told, scores, new, end = max(ends, key=lambda e: (not g & e[2], _mean(e[1], g)))
-        if not g & new and _mean(scores, g) > _mean(first, g):
-            layout.restore(layout.saved_with(end, g))
-            decisions.append(_told(told, g, before, first, scores))
+    for g in groups:
+        better = [w for w in ways if g in w.groups and not g & (w.end.overlapping - lifted.overlapping)]
+        best = max(better, key=lambda w: w.end.score(g), default=None)
+        if best and best.end.score(g) > lifted.score(g):
+            layout.restore(layout.saved_with(best.end.saved, g))
+            decisions.append(_told(best, g, start, lifted))
     return decisions
 
 
-def _other_ways(layout: Placement, tried: Collection[int], config: SeparateConfig) -> dict[str, Callable[[], None]]:
-    """Moves by what they are told as: in space, and as lifts, but by one standard deviation along viewing rays at most.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _End:
+    """A layout and how it is seen; ``overlapping`` are ids of bodies that overlap another one or the ground."""
 
-    Bowls in bowls would leave each other along a ray, as no silhouette changes: only what hides what."""
-    error = max(layout.depth_sigma[id] for id in tried)
-    near = replace(config, max_ray_scale=min(error, config.max_ray_scale))
-    return {
-        "parted in space": partial(_in_space, layout, config),
-        "parted near where the photo shows them": partial(_by_lifts, layout, near),
-    }
+    saved: Saved
+    scene: Scene
+    overlapping: frozenset[int]
+
+    @classmethod
+    def of(cls, layout: Placement) -> _End:
+        overlapping = frozenset(id for pair in layout.collisions() for id in pair)
+        return cls(saved=layout.saved(), scene=layout.moved_scene(), overlapping=overlapping)
+
+    @cached_property
+    def _seen(self) -> SettledScene:
+        return SettledScene(scene=self.scene, restless=frozenset())
+
+    def score(self, group: Collection[int]) -> float:
+        """Mean visible IoU of a group, less what errors of measured depths would cost across the viewing rays."""
+        return _mean(self._seen.scores, group)
+
+    def iou(self, group: Collection[int]) -> float:
+        """Mean visible IoU of a group."""
+        return _mean(self._seen.ious, group)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Way:
+    """Where another way leads, and the groups that tried it."""
+
+    told: str
+    groups: list[set[int]]
+    end: _End
 
 
 def _by_lifts(layout: Placement, config: SeparateConfig) -> None:
@@ -98,29 +126,13 @@ def _held(layout: Placement, moving: Collection[int]) -> Generator[None]:
         layout.scene = whole
 
 
-def _scores(scene: Scene) -> Mapping[int, float]:
-    """Visible IoU by id, less what errors of measured depths would cost across the viewing rays."""
-    return SettledScene(scene=scene, restless=frozenset()).scores
-
-
-def _overlapping(layout: Placement) -> frozenset[int]:
-    """Ids of bodies that overlap another one or the ground."""
-    return frozenset(id for pair in layout.collisions() for id in pair)
-
-
 def _mean(seen: Mapping[int, float], group: Collection[int]) -> float:
     return float(np.mean([seen[id] for id in group]))
 
 
-def _told(
-    choice: str,
-    group: Collection[int],
-    before: Mapping[int, float],
-    lifts: Mapping[int, float],
-    after: Mapping[int, float],
-) -> Decision:
+def _told(way: _Way, group: Collection[int], start: _End, lifted: _End) -> Decision:
     return Decision(
-        choice=f"{choice}: {', '.join(name_of(id) for id in sorted(group))}",
-        reason=f"score of the group {_mean(before, group):.3f} -> {_mean(after, group):.3f}, and "
-        f"{_mean(lifts, group):.3f} by lifts and horizontal moves",
+        choice=f"parted {way.told}: {', '.join(name_of(id) for id in sorted(group))}",
+        reason=f"score of the group {start.score(group):.3f} -> {way.end.score(group):.3f}, and "
+        f"{lifted.score(group):.3f} by lifts and horizontal moves",
     )
