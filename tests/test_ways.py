@@ -9,9 +9,11 @@ import pytest
 
 from f3sr.contact import crowds
 from f3sr.contact.compounds import collide, placed
-from f3sr.core.transforms import pose
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import ConvexPart, Mesh, union
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about
 from f3sr.metrics.measures import visible_ious
-from f3sr.scene import Scene, SceneObject, Support
+from f3sr.scene import GROUND, Photo, Scene, SceneObject, Support
 from f3sr.stages.separate import SeparateConfig, separate
 from scenes import box, box_mesh, measured, scene_of
 
@@ -38,6 +40,44 @@ def test_what_lies_on_its_neighbours_is_not_lowered_through_them(on_its_neighbou
     moved = [o.T_world_object[:3, 3] - on_its_neighbours[o.id].T_world_object[:3, 3] for o in after]
     assert np.linalg.norm(moved, axis=1).max() < 0.01
     assert any("in space" in d.choice for d in outcome.decisions)
+
+
+def pot(id: int, T: Array, *, carrier: int = GROUND) -> SceneObject:
+    """A pot of twelve walls and a bottom, 28 cm wide at its rim."""
+    sides, (bottom, top, height, wall) = 12, (0.0722, 0.14, 0.074, 0.006)
+    a = 2 * np.pi * np.arange(sides + 1) / sides
+    low, high, low_inside, high_inside = (
+        np.c_[r * np.cos(a), r * np.sin(a), np.full(sides + 1, z)]
+        for r, z in ((bottom, 0), (top, height), (bottom - wall, 0), (top - wall, height))
+    )
+    walls = [
+        ConvexPart.hull_of(np.concatenate([ring[k : k + 2] for ring in (low, high, low_inside, high_inside)]))
+        for k in range(sides)
+    ]
+    floor = ConvexPart.hull_of(np.concatenate([low, low + np.array([0, 0, wall])]))
+    parts = (*walls, floor)
+    vertices, faces = union(parts)
+    mesh = Mesh(vertices=vertices, faces=np.asarray(faces, np.int32))
+    return on(replace(box(id), mesh=mesh, parts=parts, T_world_object=T), carrier)
+
+
+def test_what_is_nested_does_not_leave_its_place_along_a_viewing_ray():
+    """Of a pot in a pot only a rim shows. Along viewing rays its silhouette would stay, but what it hides would not."""
+    inner = pose(rotation_about([-0.03, -0.008, -0.007], 0.032), [0.004, 0, 0.021])
+    scene = scene_of(pot(0, np.eye(4)), pot(1, inner, carrier=0))
+    K = np.array([[600.0, 0, 160], [0, 600, 120], [0, 0, 1]])
+    T = pose(rotation_about([1, 0, 0], -0.45), [0, -0.9, 0.5]) @ T_UP_FROM_CAMERA
+    photo, mask = Photo(rgb=np.zeros((240, 320, 3), np.uint8)), np.zeros((240, 320), np.bool_)
+    seen = replace(
+        scene,
+        photo=photo,
+        camera=Camera(width=320, height=240, K=K, T_world_camera=T),
+        objects=tuple(replace(o, mask=mask) for o in scene),
+    )
+    after, outcome = separate(measured(seen, "estimate"))
+    assert outcome.overlaps[1] == 0
+    assert any("near their places" in d.choice for d in outcome.decisions)
+    assert min(visible_ious(after).values()) > 0.9
 
 
 def test_a_group_that_keeps_its_masks_goes_by_lifts(on_its_neighbours: Scene):

@@ -21,6 +21,8 @@ PASSES = 3
 """Maximum number of passes. A pass brings objects onto supports, then ends overlap, which may lift them off again."""
 LOST = 0.03
 """Mean score, or visible IoU, that a group loses by lifts and horizontal moves, from which on other ways are tried."""
+LEAST_GAIN = 0.005
+"""Score from which on another way is better: the same way ends that far apart by the steps of its searches."""
 
 
 def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decision]:
@@ -56,7 +58,7 @@ def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decisi
     for g in groups:
         better = [w for w in ways if g in w.groups and not g & (w.end.overlapping - lifted.overlapping)]
         best = max(better, key=lambda w: w.end.score(g), default=None)
-        if best and best.end.score(g) > lifted.score(g):
+        if best and best.end.score(g) > lifted.score(g) + LEAST_GAIN:
             layout.restore(layout.saved_with(best.end.saved, g))
             decisions.append(_told(best, g, start, lifted))
     return decisions
