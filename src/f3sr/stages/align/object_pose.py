@@ -146,31 +146,29 @@ def _hidden_by_any(o: SceneObject, found: _Found, view: ObjectEvidence, config: 
         fit = _object_fit(placed.object, freely, config, resolution=config.resolution)
         return _scores(_Placed(base=placed.object, fit=fit, u=np.zeros(6)), evidence, freely, config)
 
-    def or_better(found: _Found, but: Collection[int]) -> _Found:
-        now = scores(found.placed)
+    def or_better(found: _Found, now: _Scores, but: Collection[int]) -> tuple[_Found, _Scores]:
         if now.iou - found.placed.iou + now.before < CONTESTED:
-            return found
+            return found, now
         also = _searched(o, view.hidden_by_any(o, but=but), config)
         after = scores(also.placed)
         if after.miss > share * now.miss:
-            return found
+            return found, now
         choice = f"compared as if any other object{f' but {names_of(but)}' if but else ''} might hide it"
-        return replace(also, decisions=[*also.decisions, Decision(choice=choice, reason=now.told(after), about=o.id)])
+        decision = Decision(choice=choice, reason=now.told(after), about=o.id)
+        return replace(also, decisions=[*also.decisions, decision]), after
 
     came, now = scores(found.came), scores(found.placed)
     if came.miss < share * now.miss:
         decision = Decision(choice="stays, as any other object may hide it", reason=now.told(came), about=o.id)
-        found = replace(found, placed=found.came, decisions=[decision])
+        found, now = replace(found, placed=found.came, decisions=[decision]), came
     if (view.valid & ~freely.valid)[around(o.mask)].any():
-        found = or_better(found, ())
-    wrong = _seen_before(found.placed.object, evidence.depth, view.scene)
-    return or_better(found, wrong) if wrong else found
+        found, now = or_better(found, now, ())
+    wrong = _seen_before(found.placed.object, evidence.depth, view.scene) if now.before > MOST_BEFORE else []
+    return or_better(found, now, wrong)[0] if wrong else found
 
 
 def _seen_before(o: SceneObject, depth: DepthEvidence, scene: Scene) -> list[int]:
     """Ids of the objects before which an object would be seen."""
-    if depth.residual(o).before <= MOST_BEFORE:
-        return []
     masks = ((p.id, sampled(p.mask, scene.camera, depth.camera, fill=False)) for p in scene if p.id != o.id)
     return [id for id, mask in masks if depth.within(mask).residual(o).before > MOST_BEFORE]
 

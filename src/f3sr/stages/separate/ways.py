@@ -34,10 +34,10 @@ def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decisi
     overlap. All of them go along viewing rays, so there are none where objects only lift."""
     start = _End.of(layout)
     _by_lifts(layout, config)
-    lifted = _End.of(layout)
-    groups = [g for g in groups_of(start.scene, lifted.scene, config.contact.apart) if len(g) > 1]
     if not config.max_ray_scale:
         return []
+    lifted = _End.of(layout)
+    groups = [g for g in groups_of(start.scene, lifted.scene, config.contact.apart) if len(g) > 1]
     far = [g for g in groups if start.score(g) - lifted.score(g) > LOST]
     hidden = [g for g in groups if start.iou(g) - lifted.iou(g) > LOST]
     near = replace(config, max_ray_scale=min(config.max_ray_scale, max(layout.depth_sigma.values())))
