@@ -437,6 +437,25 @@ def test_a_group_over_the_limits_keeps_its_parts_where_fewer_show_another_scene(
     assert decisions == ["1: keeps all its 3 convex parts"]
 
 
+def test_what_others_keep_from_joining_within_the_limits_is_not_tried_again(seen: Scene):
+    """A box stands between the walls of the first trough, which always moves."""
+    between = replace(box(2, size=(0.03, 0.03, 0.03), at=(0, 0, 0.02 + 0.015 + 4 * REST)), supported_by=0)
+    before, tried = replace(seen, objects=(seen[0], replace(between, mask=np.zeros_like(seen[0].mask)))), list[Scene]()
+
+    def settled(scene: Scene) -> SettledScene:
+        tried.append(scene)
+        return SettledScene(scene=scene, restless=frozenset({0}))
+
+    config = replace(CONFIG, max_parts=1)
+    found, outcome = coarsen(
+        before, config, made=before, joins={0: FREE, 2: ()}, settled=settled, balanced=not_in_balance
+    )
+    assert len(tried) == TRIES, "none with fewer parts of only what is over the limits"
+    assert all(scene[0].parts is seen[0].parts for scene in (*tried[1:], found))
+    decision = next(d for d in outcome.decisions if d.about == 0)
+    assert decision.choice == "keeps all its 3 convex parts" and decision.fallback
+
+
 def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_them(seen: Scene):
     scene, decisions, _ = slid(seen, (), [0.05, 0.05, 0.05, 0.0])
     assert [len(o.parts) for o in scene] == [1, 1] and not decisions

@@ -119,7 +119,8 @@ def coarsen(
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
     physics, ``balanced`` moves some objects to their nearest equilibrium. A group of touching objects keeps its
     new parts if it rests as before, or does so in an equilibrium. Otherwise what moves gets finer parts, then all of
-    the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what is over them gets fewer.
+    the group, but for what others keep from joining within the limits: that keeps its parts. After ``TRIES`` a group
+    within the limits keeps its parts. Of another, only what is over them gets fewer.
     If it moves then too, it takes the attempt in which it rests and loses least, unless that shows another scene: then
     it keeps its parts, a fallback. Objects that were ``restless`` may stay so.
     At last groups that rest on stiff contacts only take a place where they rest on soft ones too, a Decision. Where
@@ -129,8 +130,8 @@ def coarsen(
     footing, clearance = config.footing, config.contact.clearance
     few = partial(with_few_parts, made=made, joins=joins, footing=footing, clearance=clearance, known=known)
     run = _Coarsening(scene, config, few, settled, balanced, frozenset(restless))
-    while run.left and len(run.tries) < TRIES:
-        run.attempt(run.left, run.left)
+    while run.left - run.stuck and len(run.tries) < TRIES:
+        run.attempt(run.left, run.left - run.stuck)
     if run.over:
         run.keep_limits()
     run.withstand_soft_contacts()
@@ -189,6 +190,8 @@ class _Coarsening:
     ) -> None:
         self.scene, self.tries = scene, list[_Try]()
         self.left = frozenset(o.id for o in scene if o.parts)
+        self.stuck = frozenset[int]()
+        """Objects that moved and have too many parts however they join, as what is near forbids it."""
         self._config, self._few, self._settled, self._balanced = config, few, settled, balanced
         self._restless = restless
         self._balanced_once = frozenset[int]()
@@ -212,7 +215,16 @@ class _Coarsening:
             )
             for id in self.left
         )
-        return tuple(sorted((*self._told, *kept), key=lambda d: d.about or 0))
+        crowded = (
+            Decision(
+                choice=f"has {len(self.scene[id].colliders)} convex parts",
+                reason="what is near it forbids to join more of them, which the limits ask for",
+                about=id,
+                fallback=True,
+            )
+            for id in self.stuck - self.left
+        )
+        return tuple(sorted((*self._told, *kept, *crowded), key=lambda d: d.about or 0))
 
     def attempt(self, among: frozenset[int], fewer: frozenset[int]) -> None:
         """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them.
@@ -230,6 +242,7 @@ class _Coarsening:
         for ids, effect in now.effects.items():
             if effect.is_bad:
                 self._moved.update(effect.moving)
+                self.stuck |= {id for id in ids & fewer if len(new[id].colliders) > self._config.max_parts}
             else:
                 self._take(now, ids, among, reason="did not rest before")
         if len(self.tries) == TRIES - 1:
@@ -239,7 +252,8 @@ class _Coarsening:
         """Give fewer parts only to what is over the limits; where that moves, those with which its group lost least."""
         groups = [ids for ids in self.tries[-1].spoilt if ids & self.over]
         among = self.left.intersection(frozenset[int]().union(*groups))
-        self.attempt(among, among & self.over)
+        if fewer := among & self.over - self.stuck:
+            self.attempt(among, fewer)
         for ids in self.tries[-1].spoilt:
             able = [
                 one
