@@ -347,6 +347,24 @@ def test_bowls_in_bowls_find_their_places() -> None:
     assert min(visible_ious(found).values()) > 0.95
 
 
+def test_a_chair_whose_legs_miss_their_mask_is_turned_where_it_stands() -> None:
+    """A board hides much of it, so neither its centroid nor its area tells where it is."""
+    seat = [trimesh.creation.box(size).apply_translation(at) for size, at in (
+        ((0.16, 0.14, 0.015), (0, 0, 0.15)), ((0.16, 0.012, 0.12), (0, 0.064, 0.21)),
+    )]  # fmt: skip
+    legs = [
+        trimesh.creation.box((0.012, 0.012, 0.15)).apply_translation((x, y, 0.075))
+        for x in (-0.07, 0.07)
+        for y in (-0.06, 0.06)
+    ]
+    chair = painted(trimesh.util.concatenate([*seat, *legs]), rounds=2)
+    board = painted(trimesh.creation.box((0.294, 0.01, 0.123)), rounds=1)
+    scene = photographed(thing(0, chair, (0, 0.1, 0), yaw=4.86), thing(1, board, (-0.021, -0.1, 0.219), yaw=0))
+    turned = disturbed(scene[0], UP, -0.873, shift=0.025, scale=0.932)
+    blind = replace(OBJECTS_ONLY, appearance=AppearanceConfig(enabled=False))
+    assert turn_between(aligned(scene, disturbed(turned, SIDEWAYS, -0.032), blind), scene[0]) < 2
+
+
 def test_no_object_gets_a_worse_silhouette() -> None:
     scene = three_things()
     _, outcome = align(scene)

@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, rotation_about, turn_about
-from f3sr.mesh_poses.orientations import Orientation, best_orientations, facet_turn
+from f3sr.mesh_poses.orientations import Orientation, best_orientations, best_yaws, facet_turn
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject, names_of
 from f3sr.stages.align.config import AlignConfig
@@ -287,13 +287,17 @@ def _turned(
 def _reoriented(
     came: SceneObject, placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
-    """What misses its mask, in the orientation of all that fits far better; sought from where it ``came``."""
+    """What misses its mask, in the orientation of all that fits far better: sought from where it ``came``, and by turns
+    about the vertical from where it was ``placed``."""
     search = config.orientations
     if placed.iou >= search.enough:
         return placed, []
     was = _scores(placed, evidence, view, config)
     light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
     turned = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+    here = placed.object
+    light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
+    turned += [_turned_from(here, f, view, config) for f in best_yaws(here, light, search)]
     starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     best, now = placed, was
     for start, first in sorted(starts, key=lambda s: s[1].shape)[: search.detailed]:
