@@ -456,6 +456,29 @@ def test_what_others_keep_from_joining_within_the_limits_is_not_tried_again(seen
     assert decision.choice == "keeps all its 3 convex parts" and decision.fallback
 
 
+def test_a_group_within_the_limits_keeps_its_parts_and_says_so_beside_one_that_cannot_have_few(
+    seen: Scene, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("f3sr.stages.coarsen.LOSS_TO_LIMIT", 0.9)
+    between = replace(box(2, size=(0.03, 0.03, 0.03), at=(0, 0, 0.02 + 0.015 + 4 * REST)), supported_by=0)
+    alone = box(3, at=(0.4, 0, 0.05 + REST))
+    objects = (seen[0], between, alone)
+    ids = rasterizer.visible_ids(objects, seen.camera)
+    before = replace(seen, objects=tuple(replace(o, mask=ids == o.id) for o in objects))
+
+    def settled(scene: Scene) -> SettledScene:
+        slid = scene[3].moved(pose(t=[-0.03, 0, 0]), stage="test", reason="")
+        return SettledScene(scene=scene.with_objects(slid), restless=frozenset({0}))
+
+    config = replace(CONFIG, max_parts=1)
+    found, outcome = coarsen(
+        before, config, made=before, joins={0: FREE, 2: (), 3: ()}, settled=settled, balanced=not_in_balance
+    )
+    assert np.array_equal(found[3].T_world_object, alone.T_world_object)
+    told = {d.about: (d.choice, d.fallback) for d in outcome.decisions}
+    assert told[3] == ("keeps all its 1 convex parts", False)
+
+
 def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_them(seen: Scene):
     scene, decisions, _ = slid(seen, (), [0.05, 0.05, 0.05, 0.0])
     assert [len(o.parts) for o in scene] == [1, 1] and not decisions

@@ -254,7 +254,7 @@ class _Coarsening:
         among = self.left.intersection(frozenset[int]().union(*groups))
         if fewer := among & self.over - self.stuck:
             self.attempt(among, fewer)
-        for ids in self.tries[-1].spoilt:
+        for ids in (ids for ids in self.tries[-1].spoilt if ids & among):
             able = [
                 one
                 for one in self.tries

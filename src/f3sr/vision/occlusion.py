@@ -83,10 +83,7 @@ def occluders(scene: Scene) -> dict[int, Occluders]:
         known = {id, *(p.id for p in nearer)}
         farther = [other for k, other in views.items() if k not in known] if scene.geometry else []
         parts = ((other.object, _nearer_part(other, mine)) for other in farther)
-        found[id] = Occluders(
-            nearer=nearer,
-            in_part=[(p, there) for p, there in parts if there is not None],
-        )
+        found[id] = Occluders(nearer=nearer, in_part=[(p, there) for p, there in parts if there is not None])
     return found
 
 
