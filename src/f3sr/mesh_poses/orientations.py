@@ -87,8 +87,7 @@ def best_yaws(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list
 
     What is thin, as the legs of a chair, or is hidden in part, tells neither shift nor scale in closed form. Where
     these are right already, a turn is enough."""
-    count = max(1, round(2 * math.pi / (config.step / FINER)))
-    ring = [_in_place(o, fit, rotation_about(UP, 2 * math.pi * k / count)) for k in range(count)]
+    ring = _ring(o, fit, np.eye(3), UP, 0, config.step / FINER, in_place=True)
     lowest = [found for found in local_minima([ring]) if found is not ring[0]]
     return [_refined(fit, f, config) for f in sorted(lowest, key=lambda f: f.value)[: config.detailed]]
 
@@ -107,7 +106,7 @@ def tried_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig
     """All yaws of an object, a ring for each side that may face down, the first as it came.
 
     Each has the shift and scale that fit its mask in closed form."""
-    return [_ring(o, fit, R, UP, side, config) for side, R in enumerate(_sides(o, config))]
+    return [_ring(o, fit, R, UP, side, config.step) for side, R in enumerate(_sides(o, config))]
 
 
 def leaning_orientations(
@@ -118,15 +117,18 @@ def leaning_orientations(
     Sides are counted from ``first``."""
     long = principal_axes(o)[0]
     starts = [rotation_between(sign * long, along) for sign in (1, -1)]
-    return [_ring(o, fit, R, along, first + k, config) for k, R in enumerate(starts)]
+    return [_ring(o, fit, R, along, first + k, config.step) for k, R in enumerate(starts)]
 
 
 def _ring(
-    o: SceneObject, fit: ObjectFit, R: Array, axis: Array, side: int, config: OrientationConfig
+    o: SceneObject, fit: ObjectFit, R: Array, axis: Array, side: int, step: float, *, in_place: bool = False
 ) -> list[Orientation]:
-    """All turns about an axis of an object that is turned by R (3, 3) first."""
-    count = max(1, round(2 * math.pi / config.step))
-    return [_tried(o, fit, rotation_about(axis, 2 * math.pi * k / count) @ R, side) for k in range(count)]
+    """All turns about an axis, a ``step`` [rad] apart, of an object that is turned by R (3, 3) first.
+
+    Each has the shift and scale that fit its mask in closed form, or none ``in_place``."""
+    count = max(1, round(2 * math.pi / step))
+    turns = (rotation_about(axis, 2 * math.pi * k / count) @ R for k in range(count))
+    return [_tried(o, fit, turn, side, in_place=in_place) for turn in turns]
 
 
 def facet_turn(o: SceneObject, most: float) -> Array | None:
@@ -154,16 +156,11 @@ def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:
     return found
 
 
-def _tried(o: SceneObject, fit: ObjectFit, R: Array, side: int) -> Orientation:
+def _tried(o: SceneObject, fit: ObjectFit, R: Array, side: int, *, in_place: bool) -> Orientation:
     T = turn_about(o.middle, R)
     turned = _turned(fit, T)
-    u = turned.seed(0.0)
+    u = np.zeros(6) if in_place else turned.seed(0.0)
     return Orientation(T=T, u=u, value=turned.value(u), side=side)
-
-
-def _in_place(o: SceneObject, fit: ObjectFit, R: Array) -> Orientation:
-    T, u = turn_about(o.middle, R), np.zeros(6)
-    return Orientation(T=T, u=u, value=_turned(fit, T).value(u))
 
 
 def _refined(fit: ObjectFit, found: Orientation, config: OrientationConfig) -> Orientation:
