@@ -428,7 +428,7 @@ def test_a_group_over_the_limits_that_always_moves_takes_what_loses_least(seen: 
     scene, decisions, tried = slid(seen, (), [0.05, 0.03, 0.05, 0.05])
     assert [len(o.parts) for o in scene] == [1, 1] and tried == [[1, 1], [1], [1], [1]]
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.23)
-    assert decisions == [d for d in decisions if d.startswith("1: moves with fewer convex parts")] and decisions
+    assert decisions == [d for d in decisions if d.startswith("1: moves as its group")] and decisions
 
 
 def test_a_group_over_the_limits_keeps_its_parts_where_fewer_show_another_scene(seen: Scene):

@@ -244,7 +244,7 @@ class _Coarsening:
                 self._moved.update(effect.moving)
                 self.stuck |= {id for id in ids & fewer if len(new[id].colliders) > self._config.max_parts}
             else:
-                self._take(now, ids, among, reason="did not rest before")
+                self._take(now, ids, among, reason="this group did not rest before")
         if len(self.tries) == TRIES - 1:
             self._moved.update(self.left)
 
@@ -262,7 +262,7 @@ class _Coarsening:
             ]
             if able:
                 best = min(able, key=lambda one: round(one.effects[ids].loss / LOSS))
-                self._take(best, ids, among, reason="had too many parts, or these too many vertices")
+                self._take(best, ids, among, reason="the limits ask this group for fewer parts or vertices")
 
     def withstand_soft_contacts(self) -> None:
         """Let groups in which an object falls on soft contacts rest where that ends, if it ends.
@@ -331,7 +331,7 @@ class _Coarsening:
         if effect.loss > LOSS:
             self._told += (
                 Decision(
-                    choice=f"moves with fewer convex parts: visible IoU {-effect.losses[id]:+.3f}",
+                    choice=f"moves as its group has fewer convex parts: visible IoU {-effect.losses[id]:+.3f}",
                     reason=reason,
                     about=id,
                 )
