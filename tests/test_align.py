@@ -316,6 +316,33 @@ def test_what_hides_an_object_by_error_does_not_keep_it_from_its_mask(way: tuple
     assert "compared as if any other object but object 0 might hide it" in told
 
 
+@pytest.mark.parametrize("ground", [True, False])
+def test_what_something_without_a_mask_hides_is_found_as_with_the_mask_and_told(ground: bool) -> None:
+    """A can behind a box that nobody outlined; the geometry shows the ground around them, or nothing there."""
+    scene = photographed(thing(0, BOX, (-0.04, -0.12, 0.06)), thing(1, CAN, (0.02, 0.0, 0.07)))
+    whole = rasterizer.render([scene[1]], CAMERA).ids == 1
+    geometry = _over_ground(scene) if ground else scene.geometry
+    came = scene[1].moved(pose(t=np.array([0.01, 0.005, 0])), scale=0.95, stage="test", reason="")
+    bare, told = align(replace(scene, objects=(came,), geometry=geometry), OBJECTS_ONLY)
+    assert iou(rasterizer.render([bare[1]], CAMERA).ids == 1, whole) > 0.97
+    assert [d.about for d in told.decisions if "is not compared" in d.choice] == [1]
+    both, told = align(replace(scene.with_objects(came), geometry=geometry), OBJECTS_ONLY)
+    assert iou(rasterizer.render([both[1]], CAMERA).ids == 1, whole) > 0.97
+    assert not [d for d in told.decisions if "is not compared" in d.choice]
+
+
+def _over_ground(scene: Scene) -> Geometry:
+    """The scene's geometry with the ground z = 0 where nothing is before it."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], axis=-1)
+    down = -rays @ CAMERA.T_world_camera[2, :3]
+    assert scene.geometry and (down > 0).all(), "the ground is everywhere"
+    points = np.where(
+        scene.geometry.valid[..., None], scene.geometry.points, rays * (CAMERA.center[2] / down)[..., None]
+    )
+    return Geometry(points=points.astype(np.float32), valid=np.ones_like(scene.geometry.valid))
+
+
 def test_an_object_that_fits_stays_where_others_are_believed_to_hide_less_of_it() -> None:
     """A box before a can: compared as if nothing hid the can, only a smaller one fits what shows of it."""
     scene = photographed(thing(0, BOX, (-0.04, -0.12, 0.06)), thing(1, CAN, (0.02, 0.0, 0.07)))

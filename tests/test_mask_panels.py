@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from f3sr.report_page.mask_panels import mask_panels
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.vision.occlusion import nearer_objects
 from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT
-from f3sr.vision.silhouette import iou
+from f3sr.vision.silhouette import iou, union_of
 from folders import boxes, camera
 
 GREY = 128
@@ -33,8 +34,9 @@ def shifted(s: Scene, id: int, by: tuple[float, float, float]) -> Scene:
     return s.with_objects(s[id].moved(pose(t=by), stage="test", reason="shifted"))
 
 
-def panels(s: Scene, *states: Scene, id: int, nearer: tuple[SceneObject, ...] = (), longest: int = 200):
-    return mask_panels(id, [s, *states], nearer, longest=longest, drawn=range(1 + len(states)))
+def panels(s: Scene, *states: Scene, id: int, nearer: Sequence[SceneObject] = (), longest: int = 200):
+    hidden = union_of((p.mask for p in nearer), s[id].mask.shape)
+    return mask_panels(id, [s, *states], hidden, longest=longest, drawn=range(1 + len(states)))
 
 
 def tinted(color: tuple[int, int, int]) -> np.ndarray:
@@ -65,7 +67,7 @@ def test_numbers_are_those_of_whole_images():
         hidden = np.zeros_like(o.mask)
         for p in nearer[o.id]:
             hidden |= p.mask
-        found = panels(s, moved, id=o.id, nearer=tuple(nearer[o.id]))
+        found = panels(s, moved, id=o.id, nearer=nearer[o.id])
         for state, value, share in zip((s, moved), found.ious, found.hidden, strict=True):
             render = full_silhouette(state[o.id], EYE)
             assert value == iou(render, o.mask, ~hidden)
@@ -76,7 +78,7 @@ def test_what_a_nearer_mask_hides_is_neither_compared_nor_coloured_like_the_rest
     """The box under the small one: its render reaches behind the small one's mask, and is right there."""
     s = scene()
     under = next(o for o in s if any(p.id != o.id for p in nearer_objects(s)[o.id]) and o.id == 2)
-    alone, aware = panels(s, id=2), panels(s, id=2, nearer=tuple(nearer_objects(s)[2]))
+    alone, aware = panels(s, id=2), panels(s, id=2, nearer=nearer_objects(s)[2])
     assert alone.ious[0] < 0.99 and aware.ious[0] > 0.995 and alone.hidden[0] == 0 < aware.hidden[0]
     assert share_of(alone.pictures[0], RENDER_ONLY) > 0.01 > share_of(aware.pictures[0], RENDER_ONLY)
     assert under.mask.any() and not np.array_equal(alone.pictures[0], aware.pictures[0])

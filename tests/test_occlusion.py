@@ -11,6 +11,7 @@ from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, comparable_region, nearer_objects, occluders, visible_region
+from f3sr.vision.regions import shrunk
 from folders import camera
 from scenes import box, box_mesh, scene_of
 
@@ -108,18 +109,23 @@ def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_wh
     assert np.array_equal(hidden[below, 20:30], wall[below, 20:30])
 
 
-def photographed(*objects: SceneObject) -> Scene:
-    """Objects with the masks and the geometry of a camera that looks down by 40 degrees."""
+def photographed(*objects: SceneObject, on_ground: bool = False) -> Scene:
+    """Objects with the masks and the geometry of a camera that looks down by 40 degrees, perhaps ``on_ground`` that
+    the geometry shows too."""
     eye = camera().resized(4 * camera().width, 4 * camera().height)
     seen = rasterizer.render(objects, eye)
     rows, columns = np.mgrid[: eye.height, : eye.width] + 0.5
     rays = np.linalg.solve(eye.K, np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1)).T
-    points = (rays * np.nan_to_num(seen.depth, posinf=0.0).reshape(-1, 1)).reshape(eye.height, eye.width, 3)
+    depth = seen.depth
+    if on_ground:
+        down = rays @ -eye.T_world_camera[2, :3]
+        depth = np.minimum(depth, np.where(down > 0, eye.center[2] / down.clip(1e-9), np.inf).reshape(depth.shape))
+    points = (rays * np.nan_to_num(depth, posinf=0.0).reshape(-1, 1)).reshape(eye.height, eye.width, 3)
     return Scene(
         photo=Photo(rgb=np.zeros((eye.height, eye.width, 3), np.uint8)),
         camera=eye,
         objects=tuple(replace(o, mask=seen.ids == o.id) for o in objects),
-        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(seen.depth)),
+        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(depth)),
     )
 
 
@@ -136,6 +142,44 @@ def test_all_of_an_object_that_a_wall_hides_is_left_out_however_far_down_the_wal
     missed = alone & ~scene[1].mask & ~hidden
     assert np.count_nonzero(scene[1].mask) > 300
     assert np.count_nonzero(missed) < 0.02 * np.count_nonzero(alone)
+
+
+@pytest.mark.parametrize("away", [0.02, 0.06])
+def test_a_wall_that_no_mask_shows_hides_an_object_as_one_with_a_mask_and_the_ground_before_it_does_not(away: float):
+    wall = box(0, size=(0.3, 0.005, 0.1), at=(0, -0.1, 0.05))
+    brick = box(1, size=(0.05, 0.05, 0.14), at=(0.02, away - 0.0725, 0.07))
+    scene = photographed(wall, brick, on_ground=True)
+    assert scene.geometry
+    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
+    also = behind_the_photo(scene[1], [], scene.geometry, scene.camera)
+    alone = full_silhouette(brick, scene.camera)
+    missed = alone & hidden & ~also
+    assert np.count_nonzero(alone & hidden) > 300 and np.count_nonzero(missed) < 0.01 * np.count_nonzero(alone & hidden)
+    assert not (also & ~scene[0].mask).any()
+
+
+@pytest.mark.parametrize("away", [-0.02, 0.0, 0.02])
+def test_what_stands_on_an_object_without_a_mask_hides_it_down_to_where_they_touch(away: float):
+    """There it is as near as the object itself."""
+    lower, upper = (
+        box(0, size=(0.2, 0.2, 0.04), at=(0, 0, 0.02)), box(1, size=(0.1, 0.06, 0.12), at=(0.02, away, 0.1))
+    )  # fmt: skip
+    scene = photographed(lower, upper, on_ground=True)
+    assert scene.geometry
+    hidden = behind_the_photo(scene[0], [], scene.geometry, scene.camera)
+    beyond = full_silhouette(lower, scene.camera) & ~scene[0].mask
+    assert np.count_nonzero(beyond) > 500 and np.count_nonzero(beyond & ~hidden) < 0.02 * np.count_nonzero(beyond)
+    assert not (hidden & ~scene[1].mask).any()
+
+
+def test_a_seam_between_masks_hides_nothing():
+    """The border of a wall that its mask misses."""
+    wall = box(0, size=(0.3, 0.005, 0.1), at=(0, -0.1, 0.05))
+    scene = photographed(wall, box(1, size=(0.05, 0.05, 0.14), at=(0.02, 0.02, 0.07)), on_ground=True)
+    narrow = replace(scene[0], mask=shrunk(scene[0].mask, 2))
+    assert scene.geometry
+    hidden = behind_the_photo(scene[1], [narrow], scene.geometry, scene.camera)
+    assert hidden.any() and not (hidden & ~narrow.mask).any()
 
 
 def test_what_an_object_stands_on_does_not_hide_it():
@@ -166,8 +210,10 @@ def test_what_hides_an_object_is_found_anew_for_other_masks_cameras_and_geometri
     first[:] = False  # the caller's own
     again = hidden(brick.moved(np.eye(4) * [1.1, 1.1, 1.1, 1], scale=1.1, stage="test", reason=""))
     assert again.any() and np.array_equal(again, hidden())
-    below = np.arange(len(wall.mask))[:, None] > np.flatnonzero(wall.mask.any(1))[[0, -1]].mean()
-    assert np.array_equal(hidden(wall=replace(wall, mask=wall.mask & below)), again & below)
+    left = np.arange(wall.mask.shape[1]) < np.flatnonzero(brick.mask.any(0)).mean()
+    assert not np.array_equal(hidden(replace(brick, mask=brick.mask & left)), again)
+    half = hidden(wall=replace(wall, mask=wall.mask & left))
+    assert not np.array_equal(half, again) and np.count_nonzero(half ^ again) < 0.01 * np.count_nonzero(again)
     flat = replace(geometry, points=geometry.points / geometry.points[..., 2:].clip(1e-3))
     assert not hidden(geometry=flat).any()
     assert not np.array_equal(hidden(turn=np.pi / 2), again)

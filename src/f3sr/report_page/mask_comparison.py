@@ -9,7 +9,7 @@ import numpy as np
 
 from f3sr.report_page.mask_panels import MaskPanels, mask_panels
 from f3sr.report_page.page_data import PageData
-from f3sr.vision.occlusion import nearer_objects
+from f3sr.vision.occlusion import comparable_region, occluders
 from f3sr.vision.pictures import Image
 
 SHOWN_AT_ONCE = 12
@@ -50,7 +50,7 @@ class Card:
 
     @property
     def hidden(self) -> float | None:
-        """The share of ours behind nearer masks, where it is worth a word."""
+        """The share of ours behind what is nearer, where it is worth a word."""
         return self.panels.hidden[1] if self.panels.hidden[1] >= LEAST_HIDDEN else None
 
 
@@ -71,6 +71,7 @@ def cards(page: PageData) -> list[Card]:
     """Every object compared with its mask: in the input, in ours, and after the stage align."""
     scenes = page.result.scenes
     states = [page.direct, page.scene, *([scenes["align"]] if "align" in scenes else [])]
-    nearer = nearer_objects(page.scene)
+    hiding = occluders(page.scene)
     longest = int(np.clip(np.sqrt(page.sizes.panels / 2 / len(page.scene.objects)), *PANEL_SIDE))
-    return [Card(o.id, mask_panels(o.id, states, nearer[o.id], longest=longest, drawn=(0, 1))) for o in page.scene]
+    hidden = {o.id: ~comparable_region(o, hiding[o.id], page.scene) for o in page.scene}
+    return [Card(id, mask_panels(id, states, there, longest=longest, drawn=(0, 1))) for id, there in hidden.items()]

@@ -13,7 +13,7 @@ from f3sr.io.images import resized
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT, Image
-from f3sr.vision.silhouette import Mask, iou, union_of
+from f3sr.vision.silhouette import Mask, iou
 
 MARGIN = 0.12
 """Around what a panel shows, as a share of its longer side."""
@@ -34,7 +34,7 @@ class MaskPanels:
     """One object in several states of a scene.
 
     ``pictures``: photo mask red, render green, overlap blue over the greyed photo, all of one window; hatched where
-    masks of nearer objects hide it. ``ious`` and ``hidden`` by state: IoU of the whole render with the mask where
+    it is hidden. ``ious`` and ``hidden`` by state: IoU of the whole render with the mask where
     nothing hides it, exact at the photo's pixels, and the share of the render that is hidden.
     """
 
@@ -43,15 +43,13 @@ class MaskPanels:
     hidden: tuple[float, ...]
 
 
-def mask_panels(
-    id: int, scenes: Sequence[Scene], nearer: Collection[SceneObject], *, longest: int, drawn: Collection[int]
-) -> MaskPanels:
-    """The object ``id`` in some states of a scene; ``nearer`` may hide it. Those numbered in ``drawn`` get pictures,
-    of at most ``longest`` pixels a side."""
+def mask_panels(id: int, scenes: Sequence[Scene], hidden: Mask, *, longest: int, drawn: Collection[int]) -> MaskPanels:
+    """The object ``id`` in some states of a scene, ``hidden`` in some pixels (H, W). Those numbered in ``drawn`` get
+    pictures, of at most ``longest`` pixels a side."""
     mask, rgb = scenes[0][id].mask, scenes[0].photo.rgb
     window = _around([_box_of(mask), *(_seen(s[id], s.camera) for s in scenes)], mask.shape)
     renders = [_silhouette(s[id], s.camera, window) for s in scenes]
-    hidden = union_of((p.mask[window] for p in nearer), renders[0].shape)
+    hidden = hidden[window]
     part = _near(_box_of(mask), window)
     rows, columns = (slice(p.start - w.start, p.stop - w.start) for p, w in zip(part, window, strict=True))
     shown = [renders[k][rows, columns] for k in sorted(drawn)]

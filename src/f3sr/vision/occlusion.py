@@ -15,7 +15,7 @@ from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.depth_prior import sigma
-from f3sr.vision.regions import grown, joined_to, nearest_in
+from f3sr.vision.regions import grown, joined_to, nearest_in, opened
 from f3sr.vision.silhouette import Mask, union_of
 
 RESOLUTION = 384
@@ -41,6 +41,11 @@ ROUNDING = 1e-6
 
 BORDER = 3
 """Pixels of the geometry at the border of a mask whose depths may be mixed with its neighbour's."""
+SEAM = 2
+"""Pixels of the geometry, half the width up to which what no mask shows may be a seam between masks."""
+ABOVE = 3.0
+"""By how many standard deviations of the geometry a surface that no mask shows is before the ground, at least: nearer
+ones may be the ground. Also without a mask of the ground, all occluders of four scenes were found so."""
 GRAZING = np.radians(25)
 """Flattest angle [rad] at which a surface is seen: seen flatter, one that goes on looks like a step."""
 NOWHERE = slice(0), slice(0)
@@ -153,15 +158,16 @@ _FOUND: WeakKeyDictionary[Geometry, dict[tuple[object, ...], _Hidden]] = WeakKey
 
 
 def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry, camera: Camera) -> Mask:
-    """The pixels (H, W) of other objects' masks where the geometry shows a surface before an object, as a bowl's wall
-    before the fruit in it: there the object would be hidden. The object's pose does not matter.
+    """The pixels (H, W) outside of an object's mask where the geometry shows a surface before it, as a bowl's wall
+    before the fruit in it, or a hand that nobody outlined: there the object would be hidden. Its pose does not matter.
+    The ground, z = 0 below the ``camera``, hides nothing.
 
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
     stands on another, depth goes on without a step. A crate's wall, seen from above, begins with a step and gets deeper
-    downwards. It is before the object as long as it is nearer across the ground. The ``camera`` tells what is vertical.
+    downwards. It is before the object as long as it is nearer across the ground.
     """
     masks = (o.mask, *(p.mask for p in others))
-    found, key = _FOUND.setdefault(geometry, {}), (*map(id, masks), camera.T_world_camera[2, :3].tobytes())
+    found, key = _FOUND.setdefault(geometry, {}), (*map(id, masks), camera.T_world_camera[2].tobytes())
     if key not in found:
         found[key] = _Hidden.of(masks, geometry, camera)
     hidden = np.zeros(geometry.valid.shape, np.bool_)
@@ -184,8 +190,9 @@ class _Hidden:
         sure = _inner(mine)
         if not sure.any():
             return cls(there=NOWHERE, pixels=np.zeros((0, 0), np.bool_), masks=masks)
-        rest = geometry.inside(union_of(masks[1:], masks[0].shape))
-        there = around(mine)
+        others = geometry.inside(union_of(masks[1:], masks[0].shape))
+        bare = opened(_before_ground(geometry, camera) & ~mine & ~others, SEAM)
+        rest, there = others | bare, around(mine)
         beside = _Beside.of(geometry, sure, there)
         pixels = rest[there] & beside.is_nearer()
         steps = np.zeros_like(mine)
@@ -194,24 +201,37 @@ class _Hidden:
             hidden = np.zeros_like(mine)
             hidden[there] = pixels
             there = around(mine, widely=True)
-            walls = rest[there] & _Beside.of(geometry, sure, there).is_nearer_across_ground(camera)
+            beside = _Beside.of(geometry, sure, there)
+            walls = rest[there] & beside.is_nearer_across_ground(camera)
             pixels = hidden[there] | joined_to(steps[there], within=hidden[there] | walls)
+        seeds = pixels & bare[there]
+        pixels |= joined_to(seeds, within=seeds | bare[there] & beside.may_stand_on_it(camera))
         return cls(there=there, pixels=pixels, masks=masks)
+
+
+def _before_ground(geometry: Geometry, camera: Camera) -> Mask:
+    """The pixels (h, w) of a geometry that show something before the ground z = 0."""
+    up = camera.T_world_camera[2, :3].astype(np.float32)
+    # A viewing ray meets the ground where it is as far below the camera as the ground is.
+    below = -(np.where(geometry.valid[..., None], geometry.points, 0) @ up)
+    return geometry.valid & (below < (1 - ABOVE * sigma(geometry)) * camera.center[2])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Beside:
-    """A part of the geometry: ``points`` (h, w, 3), for each the nearest of the object's own, and the standard
-    deviation of depths as a share of them."""
+    """A part of the geometry: ``points`` (h, w, 3), for each the nearest of the object's own with the way from there
+    [px], and the standard deviation of depths as a share of them."""
 
     points: NDArray[np.float32]
     own: NDArray[np.float32]
+    way: tuple[Array, Array]
     noise: float
 
     @classmethod
     def of(cls, geometry: Geometry, sure: Mask, there: tuple[slice, slice]) -> _Beside:
-        points = geometry.points[there]
-        return cls(points=points, own=points[nearest_in(sure[there])], noise=sigma(geometry))
+        points, (rows, columns) = geometry.points[there], nearest_in(sure[there])
+        down, right = np.mgrid[: rows.shape[0], : rows.shape[1]] - np.stack([rows, columns])
+        return cls(points=points, own=points[rows, columns], way=(right, down), noise=sigma(geometry))
 
     def is_nearer(self) -> Mask:
         return self.points[..., 2] < (1 - self.noise) * self.own[..., 2]
@@ -221,6 +241,11 @@ class _Beside:
         up = camera.T_world_camera[2, :3].astype(np.float32)
         points, own = ((p * p).sum(-1) - (p @ up) ** 2 for p in (self.points, self.own))
         return points < (1 - self.noise) ** 2 * own
+
+    def may_stand_on_it(self, camera: Camera) -> Mask:
+        """Whether a surface is over the object in the picture, and not behind it."""
+        (right, down), up = self.way, camera.T_world_camera[2, :2]
+        return (self.points[..., 2] < (1 + self.noise) * self.own[..., 2]) & (right * up[0] + down * up[1] > 0)
 
     def begins(self, some: Mask) -> Mask:
         """Which of some pixels are nearer than a surface would be that goes on from the object's own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -18,14 +18,16 @@ from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
-from f3sr.vision.occlusion import around, comparable_region, occluders
-from f3sr.vision.silhouette import Mask, iou
+from f3sr.vision.occlusion import around, behind_the_photo, comparable_region, occluders
+from f3sr.vision.silhouette import Mask, iou, union_of
 
 PASSES = 3
 """Most alignments of an object: the first one tells better which objects hide which."""
 CHANGED = 0.1
 """Pixels near an object that are compared now and were not, or the reverse, as a share of its mask, from which on it is
 aligned again."""
+LEAST_HIDDEN = 0.05
+"""Share of an object behind what is none, from which on the user is told."""
 MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""
 
@@ -53,7 +55,7 @@ def align(
 ) -> tuple[Scene, Aligned]:
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
-    Every step has a guard of its own. An object is compared only where nearer objects leave it visible. Aligned
+    Every step has a guard of its own. An object is compared only where what is nearer leaves it visible. Aligned
     objects tell that better, so an object for which it changes is aligned again.
     ``only`` names the objects to refine, all by default.
     """
@@ -72,6 +74,7 @@ def align(
             if scene is was:
                 break
     after = _ious(scene, config)
+    decisions += _behind_what_is_no_object(scene)
     scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
     return scene, Aligned(before=before, after=after, decisions=tuple(decisions))
 
@@ -104,6 +107,24 @@ def _objects_aligned(
     if not any(told for _, told in results):
         return scene, []
     return scene.with_objects(*(o for o, _ in results)), [d for _, several in results for d in several]
+
+
+def _behind_what_is_no_object(scene: Scene) -> Iterator[Decision]:
+    """What is told of objects that something else hides: no other measure says why they miss their masks."""
+    if scene.geometry is None:
+        return
+    masked = union_of((o.mask for o in scene), scene.photo.rgb.shape[:2])
+    for o in scene:
+        others = (p for p in scene if p is not o)
+        render = full_silhouette(o, scene.camera)
+        hidden = render & ~masked & behind_the_photo(o, others, scene.geometry, scene.camera)
+        share = np.count_nonzero(hidden) / max(1, np.count_nonzero(render))
+        if share >= LEAST_HIDDEN:
+            yield Decision(
+                choice=f"{share:.0%} of it is not compared",
+                reason="what is before it is no object of the scene; visible IoU counts that as missed",
+                about=o.id,
+            )
 
 
 def _differ(now: Mask, before: Mask, mask: Mask) -> bool:
