@@ -15,6 +15,8 @@ from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GROUND, Photo, Scene, SceneObject, Support
 from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.separate.placement import Placement
+from f3sr.stages.separate.support_contact import seat
 from scenes import box, box_mesh, measured, scene_of
 
 CLEARANCE = SeparateConfig().clearance
@@ -61,9 +63,8 @@ def pot(id: int, T: Array, *, carrier: int = GROUND) -> SceneObject:
     return on(replace(box(id), mesh=mesh, parts=parts, T_world_object=T), carrier)
 
 
-def test_what_is_nested_does_not_leave_its_place_along_a_viewing_ray():
-    """Of a pot in a pot only a rim shows. Along viewing rays its silhouette would stay, but what it hides would not."""
-    inner = pose(rotation_about([-0.03, -0.008, -0.007], 0.032), [0.004, 0, 0.021])
+def nested(inner: Array) -> Scene:
+    """A pot in a pot, of which only a rim shows."""
     scene = scene_of(pot(0, np.eye(4)), pot(1, inner, carrier=0))
     K = np.array([[600.0, 0, 160], [0, 600, 120], [0, 0, 1]])
     T = pose(rotation_about([1, 0, 0], -0.45), [0, -0.9, 0.5]) @ T_UP_FROM_CAMERA
@@ -74,10 +75,32 @@ def test_what_is_nested_does_not_leave_its_place_along_a_viewing_ray():
         camera=Camera(width=320, height=240, K=K, T_world_camera=T),
         objects=tuple(replace(o, mask=mask) for o in scene),
     )
-    after, outcome = separate(measured(seen, "estimate"))
+    return measured(seen, "estimate")
+
+
+def test_what_is_nested_does_not_leave_its_place_along_a_viewing_ray():
+    """Along viewing rays its silhouette would stay, but what it hides would not."""
+    after, outcome = separate(nested(pose(rotation_about([-0.03, -0.008, -0.007], 0.032), [0.004, 0, 0.021])))
     assert outcome.overlaps[1] == 0
     assert any("near their places" in d.choice for d in outcome.decisions)
     assert min(visible_ious(after).values()) > 0.9
+
+
+def test_what_came_hidden_by_what_it_overlaps_may_lose_what_it_would_show(monkeypatch: pytest.MonkeyPatch):
+    """A pot that came too far and sunk shows nothing. What it shows after lifts is a gain, and too little."""
+    scene = nested(pose(rotation_about([-0.05, -0.008, -0.007], 0.082), [0.004, 0, 0.015]))
+    came = scene[1].moved(scene.camera.homothety(1.02), scale=1.02, stage="test", reason="")
+    sunk, reaches = scene.with_objects(came), set[float]()
+
+    def noted(layout: Placement, config: SeparateConfig, **options: bool) -> None:
+        reaches.add(config.max_ray_scale)
+        seat(layout, config, **options)
+
+    monkeypatch.setattr("f3sr.stages.separate.ways.seat", noted)
+    after, _ = separate(sunk)
+    was, now = (np.mean([*visible_ious(s).values()]) for s in (sunk, after))
+    assert was < now < 0.95
+    assert reaches == {SeparateConfig().max_ray_scale, min(reaches)} and len(reaches) == 2
 
 
 def test_a_group_that_keeps_its_masks_goes_by_lifts(on_its_neighbours: Scene):

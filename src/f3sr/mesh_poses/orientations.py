@@ -82,14 +82,23 @@ def best_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig)
     return sorted((_refined(fit, f, config) for f in lowest), key=lambda f: f.value)[: config.compared]
 
 
-def best_yaws(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list[Orientation]:
-    """Other yaws of an object where it is, best first, whose silhouettes fit its mask better than their neighbours do.
+def best_in_place(o: SceneObject, fit: ObjectFit, config: OrientationConfig, *, tilt: float) -> list[Orientation]:
+    """Other orientations of an object where it is, whose silhouettes fit its mask better than their neighbours do: the
+    best of other yaws, and the best yaw on its nearest stable facet where it is off that by more than ``tilt``.
 
     What is thin, as the legs of a chair, or is hidden in part, tells neither shift nor scale in closed form. Where
     these are right already, a turn is enough."""
-    ring = _ring(o, fit, np.eye(3), UP, 0, config.step / FINER, in_place=True)
-    lowest = [found for found in local_minima([ring]) if found is not ring[0]]
-    return [_refined(fit, f, config) for f in sorted(lowest, key=lambda f: f.value)[: config.detailed]]
+
+    def ring(R: Array) -> list[Orientation]:
+        return _ring(o, fit, R, UP, 0, config.step / FINER, in_place=True)
+
+    here = ring(np.eye(3))
+    lowest = [found for found in local_minima([here]) if found is not here[0]]
+    best = sorted(lowest, key=lambda f: f.value)[: config.detailed]
+    onto = facet_turn(o, config.facet) if facet_turn(o, tilt) is None else None
+    if onto is not None:
+        best.append(min(ring(onto), key=lambda f: f.value))
+    return [_refined(fit, f, config) for f in best]
 
 
 def local_minima(rings: list[list[Orientation]]) -> list[Orientation]:

@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, rotation_about, turn_about
-from f3sr.mesh_poses.orientations import Orientation, best_orientations, best_yaws, facet_turn
+from f3sr.mesh_poses.orientations import Orientation, best_in_place, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject, names_of
 from f3sr.stages.align.config import AlignConfig
@@ -297,7 +297,7 @@ def _reoriented(
     turned = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
     here = placed.object
     light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
-    turned += [_turned_from(here, f, view, config) for f in best_yaws(here, light, search)]
+    turned += [_turned_from(here, f, view, config) for f in best_in_place(here, light, search, tilt=config.facets.most)]
     starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     best, now = placed, was
     for start, first in sorted(starts, key=lambda s: s[1].shape)[: search.detailed]:

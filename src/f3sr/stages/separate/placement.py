@@ -139,17 +139,19 @@ class Placement:
         return loss_matrix(o.mask, self.scene.camera, self.place(id, o.middle))
 
     def picture(self, id: int) -> Array:
-        """``loss`` in the unit of PICTURE_SIGMA: less where the object misses its mask, and so is known badly."""
-        if id not in self._evidence:
-            self._evidence[id] = self._weight(self.scene[id])
-        return self._evidence[id] * self.loss(id)
+        """``loss`` in the unit of PICTURE_SIGMA: less where the object misses its mask, and so is known badly.
 
-    def _weight(self, o: SceneObject) -> float:
-        """Weight of the picture: 1 where a silhouette matches its mask, else the square of how much less it misses then
-        (the variance of a least-squares estimate grows with its residual)."""
-        region = comparable_region(o, self._hiding[o.id], self.scene)
-        missed = 1 - iou(full_silhouette(o, self.scene.camera), o.mask, region)
-        return (MATCHED / max(MATCHED, missed)) ** 2
+        1 where a silhouette matches its mask, else the square of how much less it misses then (the variance of a
+        least-squares estimate grows with its residual)."""
+        return (MATCHED / max(MATCHED, 1 - self.came_with(id))) ** 2 * self.loss(id)
+
+    def came_with(self, id: int) -> float:
+        """IoU of an object as it came with its mask, where nothing hides it."""
+        if id not in self._evidence:
+            o = self.scene[id]
+            region = comparable_region(o, self._hiding[id], self.scene)
+            self._evidence[id] = iou(full_silhouette(o, self.scene.camera), o.mask, region)
+        return self._evidence[id]
 
     @cached_property
     def _hiding(self) -> Mapping[int, Occluders]:

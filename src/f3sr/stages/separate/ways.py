@@ -29,17 +29,19 @@ def bring_into_contact(layout: Placement, config: SeparateConfig) -> list[Decisi
     """Bring each body onto its support and end all overlap.
 
     Groups that lose much of their score by lifts and horizontal moves also try moves in space. Those that lose much of
-    their visible IoU also try lifts with short moves along viewing rays: long ones change no silhouette, but what hides
-    what. Others are held meanwhile. Each group goes the way that keeps most of its score, if that leaves no new
+    their IoU also try lifts with short moves along viewing rays: long ones change no silhouette, but what hides what.
+    Where they came, overlap may hide the wrong ones, so there IoU counts where nothing hides them. Others are held
+    meanwhile. Each group goes the way that keeps most of its score, if that leaves no new
     overlap. All of them go along viewing rays, so there are none where objects only lift."""
     start = _End.of(layout)
     _by_lifts(layout, config)
     if not config.max_ray_scale:
         return []
     lifted = _End.of(layout)
+    shown = {id: max(iou, layout.came_with(id)) for id, iou in start.ious.items()}
     groups = [g for g in groups_of(start.scene, lifted.scene, config.contact.apart) if len(g) > 1]
     far = [g for g in groups if start.score(g) - lifted.score(g) > LOST]
-    hidden = [g for g in groups if start.iou(g) - lifted.iou(g) > LOST]
+    hidden = [g for g in groups if _mean(shown, g) - lifted.iou(g) > LOST]
     near = replace(config, max_ray_scale=min(config.max_ray_scale, max(layout.depth_sigma.values())))
     ways = list[_Way]()
     for told, tried, move in (
@@ -76,6 +78,11 @@ class _End:
     def of(cls, layout: Placement) -> _End:
         overlapping = frozenset(id for pair in layout.collisions() for id in pair)
         return cls(saved=layout.saved(), scene=layout.moved_scene(), overlapping=overlapping)
+
+    @property
+    def ious(self) -> Mapping[int, float]:
+        """Visible IoU by object id."""
+        return self._seen.ious
 
     @cached_property
     def _seen(self) -> SettledScene:
