@@ -31,7 +31,7 @@ from f3sr.pipeline import Reconstruction
 from f3sr.pipeline_config import Config
 from f3sr.report import Outcome
 from f3sr.runtime import kernels
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene
 from f3sr.scene_package import package
 from f3sr.stages.decompose import Decomposed
 from f3sr.stages.evaluate import direct_composition
@@ -60,8 +60,8 @@ def _report_recipe(result: Reconstruction) -> Scene:
     return contact_report.settle(contact_report.separate(result.scene))
 
 
-def _nothing_hidden(o: SceneObject, *_: Any) -> Any:
-    return np.zeros_like(o.mask)
+def _nothing_hidden(mask: Any, *_: Any) -> Any:
+    return np.zeros_like(mask)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ ROWS: Mapping[str, Variant] = {
     "no statics": Variant(settings={"separate.landing.max_turn": 0.0, "separate.balancing.max_shift": 0.0}),
     "no laying down": Variant(patched={"f3sr.stages.separate.standing._lie_down": lambda *_: None}),
     "no shifts until stable": Variant(patched={"f3sr.stages.separate.steady": lambda *_, **__: (None, [])}),
-    "pairwise separation": Variant(patched={"f3sr.stages.separate.part": contact_report.part}),
+    "pairwise separation": Variant(patched={"f3sr.stages.separate.ways.part": contact_report.part}),
     "no removal of wrong supports": Variant(patched={"f3sr.stages.separate.take_beside": lambda *_: []}),
     "no closing": Variant(skip=("close",)),
     "closing without cuts": Variant(patched={"f3sr.stages.close._Lowered._trim": lambda *_: False}),
@@ -99,10 +99,7 @@ ROWS: Mapping[str, Variant] = {
     "no search of orientations": Variant(settings={"align.orientations.enabled": False}),
     "no hidden parts": Variant(patched={"f3sr.vision.occlusion.behind_the_photo": _nothing_hidden}),
     "no moves inwards": Variant(patched={"f3sr.stages.separate.support_contact._aside": lambda *_: (None, np.inf)}),
-    "no weights by mismatch": Variant(
-        patched={"f3sr.stages.separate.placement._evidence": lambda scene: {o.id: 1.0 for o in scene}}
-    ),
-    "no placing again": Variant(patched={"f3sr.stages.refine._lost": lambda *_: frozenset[int]()}),
+    "no weights by mismatch": Variant(patched={"f3sr.stages.separate.placement.MATCHED": 1.0}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
     "report's recipe": Variant(instead={"align": staged.align}, skip=tuple(bench.after_proxies()), end=_report_recipe),
     "direct composition": Variant(skip=tuple(bench.after_proxies()), end=_as_it_came),

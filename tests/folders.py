@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +18,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about
 from f3sr.io import sam3d
 from f3sr.io.mesh_files import save_glb
-from f3sr.scene import SceneObject
+from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
 from scenes import box
 
@@ -32,6 +32,26 @@ def camera() -> Camera:
     R = np.stack([right, np.cross(forward, right), forward], axis=1)
     K = np.array([[230.0, 0, 99], [0, 230, 70], [0, 0, 1]])
     return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=pose(R, -0.75 * forward + [0, 0, 0.04]))
+
+
+def photographed(*objects: SceneObject, on_ground: bool = False) -> Scene:
+    """Objects with the masks and the geometry of a camera that looks down by 40 degrees, perhaps ``on_ground`` that
+    the geometry shows too."""
+    eye = camera().resized(4 * camera().width, 4 * camera().height)
+    seen = rasterizer.render(objects, eye)
+    rows, columns = np.mgrid[: eye.height, : eye.width] + 0.5
+    rays = np.linalg.solve(eye.K, np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1)).T
+    depth = seen.depth
+    if on_ground:
+        down = rays @ -eye.T_world_camera[2, :3]
+        depth = np.minimum(depth, np.where(down > 0, eye.center[2] / down.clip(1e-9), np.inf).reshape(depth.shape))
+    points = (rays * np.nan_to_num(depth, posinf=0.0).reshape(-1, 1)).reshape(eye.height, eye.width, 3)
+    return Scene(
+        photo=Photo(rgb=np.zeros((eye.height, eye.width, 3), np.uint8)),
+        camera=eye,
+        objects=tuple(replace(o, mask=seen.ids == o.id) for o in objects),
+        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(depth)),
+    )
 
 
 def boxes(*, textured: bool = False) -> list[SceneObject]:

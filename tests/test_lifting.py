@@ -36,6 +36,7 @@ from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, common, is_stable, jo
 from f3sr.lifting.texture import textured
 from f3sr.lifting.turned_texture import quilted
 from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of, placed_as_seen
+from f3sr.metrics.measures import full_silhouette
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
@@ -51,8 +52,9 @@ from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
 from f3sr.vision.regions import grown, shrunk, without_strays
-from f3sr.vision.silhouette import union_of
-from folders import part_of_example
+from f3sr.vision.silhouette import iou, union_of
+from folders import part_of_example, photographed
+from scenes import box
 
 PITCH = math.radians(35)
 R = attitude(PITCH, 0.0).T
@@ -434,6 +436,30 @@ def test_things_each_of_which_seems_below_the_other_are_lifted(monkeypatch: pyte
     )
     geometry = Geometry(points=points.astype(np.float32), valid=valid, source="ground")
     assert LiftedAssets().generate(image, geometry, camera.K).keys() == {0, 1}
+
+
+def test_what_something_without_a_mask_hides_is_lifted_whole_where_a_geometry_shows_that():
+    """A box behind a board that nobody outlined."""
+    scene = photographed(
+        box(0, size=(0.16, 0.005, 0.1), at=(0.05, -0.12, 0.05)), box(1, at=(0, 0, 0.05)), on_ground=True
+    )
+    geometry, mask = scene.geometry, scene[1].mask
+    assert geometry
+    whole = full_silhouette(scene[1], scene.camera)
+    image = PromptedImage(
+        photo=Photo(rgb=np.full((*mask.shape, 3), 128, np.uint8)),
+        instances=(Instance(id=1, label="box", name="01.png", mask=mask),),
+    )
+
+    def lifted(geometry: Geometry) -> float:
+        asset = LiftedAssets().generate(image, geometry, scene.camera.K)[1]
+        T = scene.camera.T_world_camera @ asset.T_camera_object
+        o = replace(scene[1], mesh=asset.mesh, T_world_object=T, scale=1.0)
+        return iou(full_silhouette(o, scene.camera), whole)
+
+    cut = lifted(replace(geometry, source="ground"))
+    assert np.count_nonzero(mask) < 0.9 * np.count_nonzero(whole) and cut < 0.92
+    assert lifted(geometry) > 0.96
 
 
 def test_alignment_neither_tilts_lifted_things_nor_moves_the_camera(lifted):

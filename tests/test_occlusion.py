@@ -8,11 +8,11 @@ import pytest
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose
 from f3sr.metrics.measures import full_silhouette
-from f3sr.scene import Geometry, Photo, Scene, SceneObject
+from f3sr.scene import Geometry, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, comparable_region, nearer_objects, occluders, visible_region
 from f3sr.vision.regions import shrunk
-from folders import camera
+from folders import photographed
 from scenes import box, box_mesh, scene_of
 
 
@@ -93,7 +93,7 @@ def test_a_support_into_which_a_wrong_pose_is_sunk_hides_nothing(depth: float):
 
 @pytest.mark.parametrize("rows", [10, 4, 1])
 def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not(rows: int):
-    fruit, bowl = box(0), box(1)
+    fruit = box(0)
     mine, other = (np.zeros_like(fruit.mask) for _ in range(2))
     mine[20 - rows : 20, 20:40], other[20:40, 20:40] = True, True
     # Below the fruit a wall is seen on the left, 3 cm before it; on the right what it stands on comes nearer slowly.
@@ -101,32 +101,12 @@ def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_wh
     points[20:, :30, 2] = 0.97
     points[20:, 30:, 2] -= np.linspace(0, 0.004, len(points) - 20, dtype=np.float32)[:, None]
     geometry = Geometry(points=points, valid=np.ones_like(mine))
-    hidden = behind_the_photo(replace(fruit, mask=mine), [replace(bowl, mask=other)], geometry, scene_of(fruit).camera)
+    hidden = behind_the_photo(mine, [other], geometry, scene_of(fruit).camera)
     wall = other.copy()
     wall[:, 30:] = False
     assert not (hidden & ~wall).any()
     below = slice(20, 20 + rows)
     assert np.array_equal(hidden[below, 20:30], wall[below, 20:30])
-
-
-def photographed(*objects: SceneObject, on_ground: bool = False) -> Scene:
-    """Objects with the masks and the geometry of a camera that looks down by 40 degrees, perhaps ``on_ground`` that
-    the geometry shows too."""
-    eye = camera().resized(4 * camera().width, 4 * camera().height)
-    seen = rasterizer.render(objects, eye)
-    rows, columns = np.mgrid[: eye.height, : eye.width] + 0.5
-    rays = np.linalg.solve(eye.K, np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1)).T
-    depth = seen.depth
-    if on_ground:
-        down = rays @ -eye.T_world_camera[2, :3]
-        depth = np.minimum(depth, np.where(down > 0, eye.center[2] / down.clip(1e-9), np.inf).reshape(depth.shape))
-    points = (rays * np.nan_to_num(depth, posinf=0.0).reshape(-1, 1)).reshape(eye.height, eye.width, 3)
-    return Scene(
-        photo=Photo(rgb=np.zeros((eye.height, eye.width, 3), np.uint8)),
-        camera=eye,
-        objects=tuple(replace(o, mask=seen.ids == o.id) for o in objects),
-        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(depth)),
-    )
 
 
 @pytest.mark.parametrize("height", [0.08, 0.11, 0.14])
@@ -138,7 +118,7 @@ def test_all_of_an_object_that_a_wall_hides_is_left_out_however_far_down_the_wal
     scene = photographed(wall, brick)
     alone = full_silhouette(brick, scene.camera)
     assert scene.geometry
-    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
+    hidden = behind_the_photo(scene[1].mask, [scene[0].mask], scene.geometry, scene.camera)
     missed = alone & ~scene[1].mask & ~hidden
     assert np.count_nonzero(scene[1].mask) > 300
     assert np.count_nonzero(missed) < 0.02 * np.count_nonzero(alone)
@@ -150,8 +130,8 @@ def test_a_wall_that_no_mask_shows_hides_an_object_as_one_with_a_mask_and_the_gr
     brick = box(1, size=(0.05, 0.05, 0.14), at=(0.02, away - 0.0725, 0.07))
     scene = photographed(wall, brick, on_ground=True)
     assert scene.geometry
-    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
-    also = behind_the_photo(scene[1], [], scene.geometry, scene.camera)
+    hidden = behind_the_photo(scene[1].mask, [scene[0].mask], scene.geometry, scene.camera)
+    also = behind_the_photo(scene[1].mask, [], scene.geometry, scene.camera)
     alone = full_silhouette(brick, scene.camera)
     missed = alone & hidden & ~also
     assert np.count_nonzero(alone & hidden) > 300 and np.count_nonzero(missed) < 0.01 * np.count_nonzero(alone & hidden)
@@ -166,7 +146,7 @@ def test_what_stands_on_an_object_without_a_mask_hides_it_down_to_where_they_tou
     )  # fmt: skip
     scene = photographed(lower, upper, on_ground=True)
     assert scene.geometry
-    hidden = behind_the_photo(scene[0], [], scene.geometry, scene.camera)
+    hidden = behind_the_photo(scene[0].mask, [], scene.geometry, scene.camera)
     beyond = full_silhouette(lower, scene.camera) & ~scene[0].mask
     assert np.count_nonzero(beyond) > 500 and np.count_nonzero(beyond & ~hidden) < 0.02 * np.count_nonzero(beyond)
     assert not (hidden & ~scene[1].mask).any()
@@ -176,10 +156,10 @@ def test_a_seam_between_masks_hides_nothing():
     """The border of a wall that its mask misses."""
     wall = box(0, size=(0.3, 0.005, 0.1), at=(0, -0.1, 0.05))
     scene = photographed(wall, box(1, size=(0.05, 0.05, 0.14), at=(0.02, 0.02, 0.07)), on_ground=True)
-    narrow = replace(scene[0], mask=shrunk(scene[0].mask, 2))
+    narrow = shrunk(scene[0].mask, 2)
     assert scene.geometry
-    hidden = behind_the_photo(scene[1], [narrow], scene.geometry, scene.camera)
-    assert hidden.any() and not (hidden & ~narrow.mask).any()
+    hidden = behind_the_photo(scene[1].mask, [narrow], scene.geometry, scene.camera)
+    assert hidden.any() and not (hidden & ~narrow).any()
 
 
 def test_what_an_object_stands_on_does_not_hide_it():
@@ -189,7 +169,7 @@ def test_what_an_object_stands_on_does_not_hide_it():
     depth = rasterizer.render([below, above], scene.camera).depth
     front = scene[0].mask & (depth > depth[scene[1].mask].max())
     assert scene.geometry
-    hidden = behind_the_photo(scene[1], [scene[0]], scene.geometry, scene.camera)
+    hidden = behind_the_photo(scene[1].mask, [scene[0].mask], scene.geometry, scene.camera)
     assert front.any() and not (hidden & front).any()
 
 
@@ -203,7 +183,7 @@ def test_what_hides_an_object_is_found_anew_for_other_masks_cameras_and_geometri
     def hidden(brick: SceneObject = brick, wall: SceneObject = wall, geometry: Geometry = geometry, turn: float = 0):
         T = np.diag([1.0, np.cos(turn), np.cos(turn), 1])
         T[1, 2], T[2, 1] = -np.sin(turn), np.sin(turn)
-        return behind_the_photo(brick, [wall], geometry, scene.camera.moved(T))
+        return behind_the_photo(brick.mask, [wall.mask], geometry, scene.camera.moved(T))
 
     first = hidden()
     assert first.any()

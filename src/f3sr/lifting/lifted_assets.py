@@ -21,6 +21,7 @@ from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
 from f3sr.scene import GROUND, Geometry, Instance, Photo
 from f3sr.vision.ground_camera import camera_over_ground
 from f3sr.vision.image_supports import below
+from f3sr.vision.occlusion import behind_the_photo
 from f3sr.vision.regions import without_strays
 from f3sr.vision.silhouette import union_of
 
@@ -46,7 +47,7 @@ class LiftedAssets:
         camera = camera_over_ground(image, geometry, K)
         self.choices.clear()
         masks = {i.id: i.mask for i in image.instances}
-        under = below(masks)
+        masked, under = union_of(masks.values(), image.photo.rgb.shape[:2]), below(masks)
         shown = dict[int, SeenSolid]()
         for instance in _from_below(image.instances, under):
             whole = _without_strays(instance, image.instances)
@@ -57,6 +58,9 @@ class LiftedAssets:
             done = [id for id in _beneath(instance.id, under) if id in self.choices]  # all, but in a ring
             walls = [self.choices[id].near_wall(masks[id], camera) for id in done]
             hidden = union_of(walls, whole.shape) | _may_hide(instance, image.instances, under)
+            if geometry.source != "ground":
+                others = (mask for id, mask in masks.items() if id != instance.id)
+                hidden |= behind_the_photo(instance.mask, others, geometry, camera) & ~masked
             seen = seen.behind(hidden)
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
             loaded = instance.id in under.values()

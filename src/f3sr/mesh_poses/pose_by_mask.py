@@ -122,10 +122,10 @@ class MaskedPhoto:
 
     def comparable(self, o: SceneObject) -> Mask:
         """Pixels (H, W) where the silhouette of an object must agree with its mask, before others have a pose."""
-        others = [unplaced(i, o.mesh) for i in self.instances.values() if i.id != o.id]
+        others = [i.mask for i in self.instances.values() if i.id != o.id]
         if self.geometry is not None:
-            return ~behind_the_photo(o, others, self.geometry, self.camera)
-        return ~union_of((p.mask for p in others), o.mask.shape)
+            return ~behind_the_photo(o.mask, others, self.geometry, self.camera)
+        return ~union_of(others, o.mask.shape)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

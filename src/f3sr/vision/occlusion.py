@@ -149,7 +149,7 @@ def comparable_region(o: SceneObject, hiding: Occluders, scene: Scene) -> Mask:
     photo's geometry shows before it."""
     valid = ~hiding.pixels(*o.mask.shape)
     if scene.geometry:
-        valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry, scene.camera)
+        valid &= ~behind_the_photo(o.mask, (p.mask for p in scene if p.id != o.id), scene.geometry, scene.camera)
     return valid
 
 
@@ -157,22 +157,22 @@ _FOUND: WeakKeyDictionary[Geometry, dict[tuple[object, ...], _Hidden]] = WeakKey
 """What was found in geometries that are in use: poses change, masks do not, and every pose is compared anew."""
 
 
-def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry, camera: Camera) -> Mask:
-    """The pixels (H, W) outside of an object's mask where the geometry shows a surface before it, as a bowl's wall
+def behind_the_photo(mask: Mask, others: Iterable[Mask], geometry: Geometry, camera: Camera) -> Mask:
+    """The pixels (H, W) outside of an object's ``mask`` where the geometry shows a surface before it, as a bowl's wall
     before the fruit in it, or a hand that nobody outlined: there the object would be hidden. Its pose does not matter.
-    The ground, z = 0 below the ``camera``, hides nothing.
+    The ground, z = 0 below the ``camera``, hides nothing. ``others`` are the masks of all other objects.
 
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
     stands on another, depth goes on without a step. A crate's wall, seen from above, begins with a step and gets deeper
     downwards. It is before the object as long as it is nearer across the ground.
     """
-    masks = (o.mask, *(p.mask for p in others))
+    masks = (mask, *others)
     found, key = _FOUND.setdefault(geometry, {}), (*map(id, masks), camera.T_world_camera[2].tobytes())
     if key not in found:
         found[key] = _Hidden.of(masks, geometry, camera)
     hidden = np.zeros(geometry.valid.shape, np.bool_)
     hidden[found[key].there] = found[key].pixels
-    return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+    return resample(hidden, mask.shape[1], mask.shape[0])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

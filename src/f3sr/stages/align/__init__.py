@@ -115,9 +115,9 @@ def _behind_what_is_no_object(scene: Scene) -> Iterator[Decision]:
         return
     masked = union_of((o.mask for o in scene), scene.photo.rgb.shape[:2])
     for o in scene:
-        others = (p for p in scene if p is not o)
+        others = (p.mask for p in scene if p is not o)
         render = full_silhouette(o, scene.camera)
-        hidden = render & ~masked & behind_the_photo(o, others, scene.geometry, scene.camera)
+        hidden = render & ~masked & behind_the_photo(o.mask, others, scene.geometry, scene.camera)
         share = np.count_nonzero(hidden) / max(1, np.count_nonzero(render))
         if share >= LEAST_HIDDEN:
             yield Decision(
