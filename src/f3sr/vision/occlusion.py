@@ -205,7 +205,8 @@ class _Hidden:
             walls = rest[there] & beside.is_nearer_across_ground(camera)
             pixels = hidden[there] | joined_to(steps[there], within=hidden[there] | walls)
         seeds = pixels & bare[there]
-        pixels |= joined_to(seeds, within=seeds | bare[there] & beside.may_stand_on_it(camera))
+        if seeds.any():
+            pixels |= joined_to(seeds, within=seeds | bare[there] & beside.may_stand_on_it(camera))
         return cls(there=there, pixels=pixels, masks=masks)
 
 
@@ -219,19 +220,18 @@ def _before_ground(geometry: Geometry, camera: Camera) -> Mask:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Beside:
-    """A part of the geometry: ``points`` (h, w, 3), for each the nearest of the object's own with the way from there
-    [px], and the standard deviation of depths as a share of them."""
+    """A part of the geometry: ``points`` (h, w, 3), for each the nearest of the object's own with its row and column
+    (h, w) in the part, and the standard deviation of depths as a share of them."""
 
     points: NDArray[np.float32]
     own: NDArray[np.float32]
-    way: tuple[Array, Array]
+    nearest: tuple[NDArray[np.int32], NDArray[np.int32]]
     noise: float
 
     @classmethod
     def of(cls, geometry: Geometry, sure: Mask, there: tuple[slice, slice]) -> _Beside:
-        points, (rows, columns) = geometry.points[there], nearest_in(sure[there])
-        down, right = np.mgrid[: rows.shape[0], : rows.shape[1]] - np.stack([rows, columns])
-        return cls(points=points, own=points[rows, columns], way=(right, down), noise=sigma(geometry))
+        points, nearest = geometry.points[there], nearest_in(sure[there])
+        return cls(points=points, own=points[nearest], nearest=nearest, noise=sigma(geometry))
 
     def is_nearer(self) -> Mask:
         return self.points[..., 2] < (1 - self.noise) * self.own[..., 2]
@@ -244,7 +244,8 @@ class _Beside:
 
     def may_stand_on_it(self, camera: Camera) -> Mask:
         """Whether a surface is over the object in the picture, and not behind it."""
-        (right, down), up = self.way, camera.T_world_camera[2, :2]
+        rows, columns = np.indices(self.nearest[0].shape)
+        down, right, up = rows - self.nearest[0], columns - self.nearest[1], camera.T_world_camera[2, :2]
         return (self.points[..., 2] < (1 + self.noise) * self.own[..., 2]) & (right * up[0] + down * up[1] > 0)
 
     def begins(self, some: Mask) -> Mask:
