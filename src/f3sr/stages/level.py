@@ -29,6 +29,7 @@ from f3sr.vision.ground_plane import (
     normal_of,
     plane_errors,
 )
+from f3sr.vision.seen_through import HIGH, seen_through, without_depth_of
 from f3sr.vision.silhouette import union_of
 
 MAX_POINTS = 50_000
@@ -130,7 +131,9 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
     )
     reason = f"{100 * plane.inliers:.0f} % of {len(points)} points lie on it"
     decision = Decision(choice=f"ground plane from {source}", reason=reason, fallback=plane.inliers < FLAT)
-    return moved, Levelled(fit=fit, decisions=(decision, *decisions, *_upside_down(plane)))
+    through = seen_through(moved, plane.residual)
+    decisions += [_through_decision(id, height) for id, height in through.items()]
+    return without_depth_of(moved, through), Levelled(fit=fit, decisions=(decision, *decisions, *_upside_down(plane)))
 
 
 def _weighed(
@@ -159,6 +162,13 @@ def _focal_decision(scene: Scene, focal: FocalLength, factor: float) -> Decision
         return Decision(choice=f"focal length {was:.0f} px kept", reason=reason, fallback=True)
     agree = f"points and normals of the ground agree at {focal.factor * was:.0f} px +- {100 * focal.error:.1f} %"
     return Decision(choice=f"focal length {was:.0f} -> {factor * was:.0f} px", reason=agree)
+
+
+def _through_decision(id: int, height: float) -> Decision:
+    reason = (
+        f"it shows the ground through the object: {HIGH} % of it are at most {1000 * height:.0f} mm over the ground"
+    )
+    return Decision(choice="its depth is left out", reason=reason, about=id, fallback=True)
 
 
 def _zoomed(scene: Scene, factor: float) -> Scene:

@@ -36,12 +36,16 @@ FINEST_SIGMA = 1e-3
 
 def sigmas(scene: Scene) -> dict[int, float]:
     """Standard deviation of every object's distance, by id. Where a sensor measured the depth, it is the spread of that
-    depth about the object's surface: the error of its shape. A noise that a user gives holds for all."""
+    depth about the object's surface: the error of its shape. A noise that a user gives holds for all. What the geometry
+    knows nothing of is as far as it came."""
     geometry = scene.geometry
     known = sigma(geometry)
-    if geometry is None or geometry.noise is not None or not scene.has_measured_depth:
+    if geometry is None or geometry.source == "ground":
         return dict.fromkeys((o.id for o in scene), known)
-    return {o.id: min(known, _measured(o, geometry, scene.camera)) for o in scene}
+    found = {o.id: known if geometry.inside(o.mask).any() else ASSET_SIGMA for o in scene}
+    if geometry.noise is not None or not scene.has_measured_depth:
+        return found
+    return {id: min(s, _measured(scene[id], geometry, scene.camera)) for id, s in found.items()}
 
 
 def depth_errors(scene: Scene) -> dict[int, float]:
