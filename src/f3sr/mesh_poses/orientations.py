@@ -13,7 +13,7 @@ import numpy as np
 
 from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.mesh import mass_properties
-from f3sr.core.transforms import UP, Array, rotation_about, rotation_between, turn_about
+from f3sr.core.transforms import UP, Array, rotation_about, rotation_angle, rotation_between, turn_about
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
 from f3sr.vision.photometric import principal_axes
@@ -95,8 +95,8 @@ def best_in_place(o: SceneObject, fit: ObjectFit, config: OrientationConfig, *, 
     here = ring(np.eye(3))
     lowest = [found for found in local_minima([here]) if found is not here[0]]
     best = sorted(lowest, key=lambda f: f.value)[: config.detailed]
-    onto = facet_turn(o, config.facet) if facet_turn(o, tilt) is None else None
-    if onto is not None:
+    onto = facet_turn(o, config.facet)
+    if onto is not None and rotation_angle(onto) > tilt:
         best.append(min(ring(onto), key=lambda f: f.value))
     return [_refined(fit, f, config) for f in best]
 

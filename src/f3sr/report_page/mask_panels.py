@@ -34,8 +34,8 @@ class MaskPanels:
     """One object in several states of a scene.
 
     ``pictures``: photo mask red, render green, overlap blue over the greyed photo, all of one window; hatched where
-    it is hidden. ``ious`` and ``hidden`` by state: IoU of the whole render with the mask where
-    nothing hides it, exact at the photo's pixels, and the share of the render that is hidden.
+    it is hidden. ``ious`` and ``hidden`` by state: IoU of the whole render with the mask where nothing hides it, exact
+    at the photo's pixels, and the share of the render that is hidden.
     """
 
     pictures: tuple[Image, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +34,7 @@ def seen_through(scene: Scene, noise: float) -> Mapping[int, float]:
     return {id: h for id, h in heights.items() if h + NOISE * noise < THROUGH * _least_width(scene[id])}
 
 
-def without_depth_of(scene: Scene, ids: Mapping[int, float]) -> Scene:
+def without_depth_of(scene: Scene, ids: Collection[int]) -> Scene:
     """The scene with a geometry that knows nothing of some objects."""
     geometry = scene.geometry
     if geometry is None or not ids:

@@ -29,7 +29,7 @@ class Placement:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._evidence = dict[int, float]()
+        self._came_with = dict[int, float]()
         self.bodies = {o.id: placed((*o.parts, *o.footing), o.T_world_asset) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {o.id: o.footing for o in scene}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
@@ -147,11 +147,11 @@ class Placement:
 
     def came_with(self, id: int) -> float:
         """IoU of an object as it came with its mask, where nothing hides it."""
-        if id not in self._evidence:
+        if id not in self._came_with:
             o = self.scene[id]
             region = comparable_region(o, self._hiding[id], self.scene)
-            self._evidence[id] = iou(full_silhouette(o, self.scene.camera), o.mask, region)
-        return self._evidence[id]
+            self._came_with[id] = iou(full_silhouette(o, self.scene.camera), o.mask, region)
+        return self._came_with[id]
 
     @cached_property
     def _hiding(self) -> Mapping[int, Occluders]:
