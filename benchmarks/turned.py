@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
+import contact as bench
 import f3sr
 import tables
 from f3sr.core.transforms import UP, rotation_about, rotation_angle, turn_about
@@ -25,7 +26,7 @@ from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.vision.occlusion import nearer_objects, visible_region
 from f3sr.vision.silhouette import iou
-from run import REPO, find
+from run import REPO
 
 NEAR = 0.02
 """Loss of IoU, where nothing nearer hides an object, at which a turned start has arrived: what looks alike counts."""
@@ -53,9 +54,8 @@ class Run:
 
 def main() -> int:
     args = _arguments()
-    folders = {n: f for n, (group, f) in find(args.data).items() if group == "rendered" and n in (args.scenes or [n])}
+    folders = {name: folder for name, (group, folder) in bench.chosen(args).items() if group == "rendered"}
     if not folders:
-        print(f"skipped: no data in {args.data} (--data PATH names another folder)")
         return 0
     runs = [run for name, folder in folders.items() for run in turned(name, folder, args.turns)]
     lines = [["turn", "starts", f"within {NEAR}", "same orientation", "median loss", "worst", "of", "CPU s"]]
@@ -106,7 +106,7 @@ def _turned(scene: Scene, o: SceneObject, yaw: float) -> Scene:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", nargs="+", metavar="NAME", help="all rendered ones by default")
+    parser.add_argument("--scenes", nargs="+", default=[], metavar="NAME", help="all rendered ones by default")
     parser.add_argument("--turns", nargs="+", type=float, default=[90.0, 180.0, 270.0], metavar="DEGREES")
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data", help="holds scenes/")
     return parser.parse_args()

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+import contact as bench
 import f3sr
 import tables
 from f3sr.core.transforms import invert_pose
@@ -28,7 +29,7 @@ from f3sr.pipeline_config import Config
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.vision.silhouette import Mask, iou
-from run import REPO, find
+from run import REPO
 
 NEAR = 0.02
 """Loss of IoU by occluders without masks at which an object is where it should be."""
@@ -53,23 +54,20 @@ class Run:
 
 def main() -> int:
     args = _arguments()
-    folders = {n: f for n, (group, f) in find(args.data).items() if group == "rendered" and n in (args.scenes or [n])}
+    folders = {name: folder for name, (group, folder) in bench.chosen(args).items() if group == "rendered"}
     runs = [run for name, folder in folders.items() for run in measured(name, folder, args.data / "objects")]
     if not runs:
-        print(f"skipped: no hidden objects in {args.data} (--data PATH names another folder)")
+        print("skipped: no hidden objects")
         return 0
     lines = [["scene", "object", "hidden", "all masks", "without"]]
     lines += [[r.scene, r.name, f"{r.hidden:.2f}", f"{r.masked:.3f}", f"{r.unmasked:.3f}"] for r in runs]
     for name, of in (("mean", mean), ("median", median)):
-        lines.append([name, "", f"{of(r.hidden for r in runs):.2f}", *(f"{of(x):.3f}" for x in _both(runs))])
+        hidden, masked, unmasked = (of(x) for x in zip(*((r.hidden, r.masked, r.unmasked) for r in runs), strict=True))
+        lines.append([name, "", f"{hidden:.2f}", f"{masked:.3f}", f"{unmasked:.3f}"])
     tables.show(lines)
     there = mean(float(r.unmasked >= r.masked - NEAR) for r in runs)
     print(f"within {NEAR} of the IoU with all masks: {there:.2f} of {len(runs)} objects")
     return int(there < SHARE)
-
-
-def _both(runs: list[Run]) -> tuple[list[float], list[float]]:
-    return [r.masked for r in runs], [r.unmasked for r in runs]
 
 
 def measured(name: str, folder: Path, objects: Path) -> Iterator[Run]:
@@ -102,7 +100,7 @@ def true_silhouette(o: SceneObject, scene: Scene, truth: Mapping[str, Any], obje
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", nargs="+", metavar="NAME", help="all rendered ones by default")
+    parser.add_argument("--scenes", nargs="+", default=[], metavar="NAME", help="all rendered ones by default")
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data", help="holds scenes/ and objects/")
     return parser.parse_args()
 
