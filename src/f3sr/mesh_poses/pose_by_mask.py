@@ -18,8 +18,8 @@ from f3sr.backends.protocols import PromptedImage
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
-from f3sr.core.surface_samples import sample_surface
-from f3sr.core.transforms import Array, pose, rotation_angle
+from f3sr.core.transforms import Array, rotation_angle
+from f3sr.mesh_poses.mask_start import at_its_mask, drawn_in, seen_distance, seen_points
 from f3sr.mesh_poses.orientations import (
     Orientation,
     OrientationConfig,
@@ -44,10 +44,6 @@ from f3sr.vision.silhouette_fit import EVERYTHING, ObjectFit, object_fit
 STAGE = "assemble"
 NEIGHBOUR = math.radians(15)
 """Turn up to which one refinement covers two starts."""
-SAMPLES = 1_000
-"""Points of a mesh whose spread is compared with the geometry's."""
-STRAYS = (2, 98)
-"""Percentiles beyond which points are drawn in, along every axis: masks leak onto what lies behind."""
 
 
 @constants
@@ -110,15 +106,7 @@ class MaskedPhoto:
 
     def distance(self, instance: Instance) -> float:
         """Depth of an object [m]: the geometry's in its mask, else the ground's below the mask's lowest pixels."""
-        if self.geometry is not None:
-            return float(np.median(self.geometry.points[self.geometry.inside(instance.mask)][:, 2]))
-        rows, columns = np.nonzero(instance.mask)
-        lowest = rows >= rows.max() - 1
-        pixel = np.array([columns[lowest].mean() + 0.5, rows.max() + 1.0, 1.0])
-        ray = self.camera.T_world_camera[:3, :3] @ np.linalg.solve(self.camera.K, pixel)
-        height = float(self.camera.center[2])
-        # A ray that does not meet the ground in front of the camera: as far as the camera is high.
-        return height / -float(ray[2]) if ray[2] < -1e-3 else height
+        return seen_distance(instance.mask, self.geometry, self.camera)
 
     def comparable(self, o: SceneObject) -> Mask:
         """Pixels (H, W) where the silhouette of an object must agree with its mask, before others have a pose."""
@@ -181,40 +169,16 @@ class PoseSearch:
     @cached_property
     def start(self) -> SceneObject:
         """The object upright at its mask, of the mask's size."""
-        mask, camera = self.instance.mask, self.view.camera
-        depth = self.view.distance(self.instance)
-        rows, columns = np.nonzero(mask)
-        seen = math.hypot(np.ptp(rows) + 1, np.ptp(columns) + 1) * depth / float(camera.K[0, 0])
-        # Both are least sizes: what points away from the camera is short in the picture, what is hidden in both.
-        scale = max(seen / self.mesh.diagonal, self._measured_scale)
-        ray = np.linalg.solve(camera.K, [columns.mean() + 0.5, rows.mean() + 0.5, 1.0])
-        # The geometry shows the front: the middle is behind it by about a third of the size.
-        middle = camera.T_world_camera[:3, :3] @ (ray * (depth + seen / 3)) + camera.center
-        T = pose(np.eye(3), middle - scale * self.mesh.bounds.mean(0))
-        return replace(unplaced(self.instance, self.mesh), T_world_object=T, scale=scale)
-
-    @property
-    def _measured_scale(self) -> float:
-        """The scale at which the mesh is spread as far as the surface that the geometry sees; 0 where it sees none."""
-        if (points := self._measured) is None:
-            return 0.0
-        return _spread(points) / _spread(sample_surface(self.mesh.vertices, self.mesh.faces, SAMPLES))
+        return at_its_mask(unplaced(self.instance, self.mesh), self.view.geometry, self.view.camera, stage=STAGE)
 
     @property
     def _measured_axis(self) -> Array | None:
         """The unit vector (3,) of the world along which the measured surface is longest: what leans lies along it."""
-        if (points := self._measured) is None:
+        points = seen_points(self.instance.mask, self.view.geometry)
+        if points is None:
             return None
-        spread = np.linalg.eigh(np.cov(_drawn_in(points).T))[1]
+        spread = np.linalg.eigh(np.cov(drawn_in(points).T))[1]
         return self.view.camera.T_world_camera[:3, :3] @ spread[:, -1]
-
-    @cached_property
-    def _measured(self) -> Array | None:
-        """What the geometry sees of the object (n, 3) in the camera; None for less than tells a distance."""
-        if (geometry := self.view.geometry) is None:
-            return None
-        points = geometry.points[geometry.inside(self.instance.mask)].astype(float)
-        return points if len(points) >= GEOMETRY_PIXELS else None
 
     @cached_property
     def _valid(self) -> Mask:
@@ -351,17 +315,6 @@ class PoseSearch:
         if upright is None or found[0].missed <= self.config.upright * upright.missed:
             return found
         return [upright, *(f for f in found if f is not upright)]
-
-
-def _spread(points: Array) -> float:
-    """Root of the mean squared distance of points (n, 3) from their mean, a few strays drawn in."""
-    return float(np.linalg.norm(_drawn_in(points).std(axis=0)))
-
-
-def _drawn_in(points: Array) -> Array:
-    """Points (n, 3) with the outermost at the others' border."""
-    low, high = np.percentile(points, STRAYS, axis=0)
-    return np.clip(points, low, high)
 
 
 def _distinct(found: list[FoundPose]) -> list[FoundPose]:

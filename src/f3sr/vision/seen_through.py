@@ -9,6 +9,7 @@ import numpy as np
 
 from f3sr.core.transforms import transform
 from f3sr.scene import Geometry, Scene, SceneObject
+from f3sr.vision import rasterizer
 from f3sr.vision.photometric import principal_axes
 
 HIGH = 90
@@ -18,6 +19,8 @@ THROUGH = 0.45
 with given meshes have .61 and more. The last, a thin wrench, has .38 and is as thin as the geometry errs."""
 NOISE = 2.0
 """Standard deviations of the ground's points from their plane that this height may be off."""
+LARGER = 2.0
+"""An object's size in the picture over that of its mask, up to which its least width is known."""
 ENOUGH = 50
 """Least number of points that tell it."""
 
@@ -26,11 +29,13 @@ def seen_through(scene: Scene, noise: float) -> Mapping[int, float]:
     """Objects through which the geometry shows the ground z = 0: the height of most of what it shows [m], by id.
 
     ``noise`` is the standard deviation of the ground's points from their plane [m]. Solids that were fitted to masks
-    may be far too thick, so they are left out."""
+    may be far too thick, so they are left out, as is what came far larger than its mask."""
     geometry = scene.geometry
     if geometry is None or geometry.source == "ground":
         return {}
-    heights = {o.id: height for o in scene if not o.lifted and (height := _height(o, scene, geometry)) is not None}
+    heights = {
+        o.id: height for o in scene if _has_size(o, scene) and (height := _height(o, scene, geometry)) is not None
+    }
     return {id: h for id, h in heights.items() if h + NOISE * noise < THROUGH * _least_width(scene[id])}
 
 
@@ -47,6 +52,15 @@ def _height(o: SceneObject, scene: Scene, geometry: Geometry) -> float | None:
     points = geometry.points[geometry.inside(o.mask)].astype(float)
     heights = transform(scene.camera.T_world_camera, points)[:, 2]
     return float(np.percentile(heights, HIGH)) if len(heights) >= ENOUGH else None
+
+
+def _has_size(o: SceneObject, scene: Scene) -> bool:
+    """Whether the size of an object is that of something its mask may show."""
+    pixels, z = scene.camera.project(o.vertices_world)
+    if o.lifted or z.min() <= rasterizer.NEAR:
+        return False
+    mask = np.argwhere(o.mask)
+    return bool(np.linalg.norm(np.ptp(pixels, axis=0)) <= LARGER * np.linalg.norm(np.ptp(mask, axis=0) + 1))
 
 
 def _least_width(o: SceneObject) -> float:

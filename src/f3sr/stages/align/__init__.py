@@ -16,7 +16,7 @@ from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
-from f3sr.stages.align.object_pose import ObjectEvidence, align_object
+from f3sr.stages.align.object_pose import KEPT, LEAST_IOU, ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
 from f3sr.vision.occlusion import around, behind_the_photo, comparable_region, occluders
 from f3sr.vision.silhouette import Mask, iou, union_of
@@ -64,13 +64,18 @@ def align(
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera and not all(o.lifted for o in scene):
-        scene, decisions = align_camera(scene, config, score=lambda s: _mean(_ious(s, config)))
+        # What is elsewhere says nothing of the camera.
+        known = replace(scene, objects=tuple(o for o in scene if before[o.id] >= LEAST_IOU))
+        if known.objects:
+            known, decisions = align_camera(known, config, score=lambda s: _mean(_ious(s, config)))
+            scene = replace(scene, camera=known.camera, geometry=known.geometry)
     if config.objects:
         ids, compared = [o.id for o in scene if only is None or o.id in only], dict[int, Mask]()
         for _ in range(PASSES):
             was = scene
             scene, told = _objects_aligned(scene, ids, compared, full, config)
-            decisions += told
+            moved = {d.about for d in told}
+            decisions = [d for d in decisions if d.choice != KEPT or d.about not in moved] + told
             if scene is was:
                 break
     after = _ious(scene, config)
@@ -99,7 +104,7 @@ def _objects_aligned(
         found, told = align_object(o, view, config)
         if before is None:
             return found, told
-        kept = any(d.fallback for d in told)
+        kept = any(d.choice == KEPT for d in told)
         return (o, []) if kept else (found, [replace(d, choice=f"again, {d.choice}") for d in told])
 
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:

@@ -11,12 +11,14 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, rotation_about, turn_about
+from f3sr.mesh_poses.mask_start import at_its_mask
 from f3sr.mesh_poses.orientations import Orientation, best_in_place, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
-from f3sr.scene import Scene, SceneObject, names_of
+from f3sr.scene import Geometry, Scene, SceneObject, names_of
 from f3sr.stages.align.config import AlignConfig
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
@@ -29,18 +31,24 @@ from f3sr.vision.photometric import Appearance, principal_axes
 from f3sr.vision.silhouette import LossWeights, Mask
 from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
 
+KEPT = "kept in its input pose"
+"""What is decided of an object that cannot be compared with its mask."""
 NEAR_VERTICAL = 0.9
 """Cosine to the vertical from which on an axis is taken for it."""
 NOISE = 1.5
 """Spread of an object's depths, in standard deviations of the geometry, that is still its noise: a mean is exceeded."""
 LEAST_IOU = 0.2
 """IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
+FAR = 0.7
+"""IoU at the end below which an object may have come far from its mask. Few of those end there that did not."""
 CONTESTED = 0.04
 """IoU that an object misses only because of what is believed to hide it, plus its share before what the photo shows.
 From here on it is sought as if any other object might hide it. Where that helped it was .05 and more."""
 MOST_BEFORE = 0.1
 """Share of an object that is before another one in the photo, from which on that does not hide it: nested bowls have up
 to .07."""
+SHIFTS_AND_SCALE = [0, 1, 5]
+"""Parameters of an object's freedom that may go on beyond their bounds."""
 BLIND_TURN = np.radians(16)
 """The turn that a silhouette is tried at: a smaller one is hidden by what is wrong of a shape [rad]."""
 
@@ -79,7 +87,7 @@ class _Placed:
 
     @cached_property
     def object(self) -> SceneObject:
-        return self.at(self.u)
+        return self.at(self.u) if self.u.any() else self.base
 
     def moved(self, u: Array) -> _Placed:
         return replace(self, u=u)
@@ -107,22 +115,50 @@ _Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Plac
 
 def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> tuple[SceneObject, list[Decision]]:
     """The object where its silhouette fits its mask best, improved by the extensions that are enabled."""
-    if reason := _not_comparable(o, view):
-        return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
-    found = _hidden_by_any(o, _searched(o, view, config), view, config)
-    came, placed, decisions = found.came, found.placed, found.decisions
-    if placed.iou < LEAST_IOU:
-        reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
-        return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
-    if placed is came:
-        return o, decisions
-    was, now = came.iou, placed.iou
-    return _as_one_motion(o, placed.object, reason=f"valid mask IoU {was:.4f} -> {now:.4f}"), decisions
+
+    def kept(reason: str) -> tuple[SceneObject, list[Decision]]:
+        return o, [Decision(choice=KEPT, reason=reason, about=o.id, fallback=True)]
+
+    if np.count_nonzero(o.mask & view.valid) < SMALLEST_AREA:
+        return kept("nearer objects hide all of its mask")
+    found = _found(o, view, config)
+    if found.placed.iou < LEAST_IOU:
+        return kept(f"its mask and its mesh do not show the same thing: valid mask IoU {found.placed.iou:.2f} at best")
+    if found.placed.object is o:
+        return o, found.decisions
+    reason = f"valid mask IoU {found.came.iou:.4f} -> {found.placed.iou:.4f}"
+    return _as_one_motion(o, found.placed.object, reason=reason), found.decisions
+
+
+def _found(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Found:
+    """The best pose near that in which an object came; also from its mask, where either misses much of that."""
+    unseen = _not_in_view(o, view.scene.camera)
+    found = None if unseen else _near(o, view, config)
+    if found and found.placed.iou >= FAR and found.came.iou >= LEAST_IOU:
+        return found
+    brought = at_its_mask(o, _surfaces_seen(view.scene), view.scene.camera, stage="align")
+    also, reason = _near(brought, view, config), unseen
+    if found:
+        was, now = (_where_any_may_hide(f.placed, view, config) for f in (found, also))
+        if now.miss > config.orientations.share * was.miss:
+            return found
+        reason = f"near its input pose it misses its mask: {was.told(now)}"
+    decision = Decision(choice="sought at its mask, not at its input pose", reason=reason, about=o.id, fallback=True)
+    return replace(also, decisions=[decision, *also.decisions])
+
+
+def _where_any_may_hide(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> _Scores:
+    """The scores of an object, as if any other one might hide it."""
+    freely = view.hidden_by_any(placed.object)
+    return _scores(_started(placed.object, freely, config), _evidence(placed.object, freely, config), freely, config)
+
+
+def _near(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Found:
+    return _hidden_by_any(o, _searched(o, view, config), view, config)
 
 
 def _searched(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Found:
-    fit = _object_fit(o, view, config, resolution=config.resolution)
-    placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
+    placed = came = _started(o, view, config)
     evidence, decisions = _evidence(o, view, config), list[Decision]()
     for phase in _phases(o, evidence, config):
         placed, more = phase(placed, evidence, view, config)
@@ -143,8 +179,7 @@ def _hidden_by_any(o: SceneObject, found: _Found, view: ObjectEvidence, config: 
         return found
 
     def scores(placed: _Placed) -> _Scores:
-        fit = _object_fit(placed.object, freely, config, resolution=config.resolution)
-        return _scores(_Placed(base=placed.object, fit=fit, u=np.zeros(6)), evidence, freely, config)
+        return _scores(_started(placed.object, freely, config), evidence, freely, config)
 
     def or_better(found: _Found, now: _Scores, but: Collection[int]) -> tuple[_Found, _Scores]:
         if now.iou - found.placed.iou + now.before < CONTESTED:
@@ -185,17 +220,14 @@ def _phases(o: SceneObject, evidence: _Evidence, config: AlignConfig) -> list[_P
     return [phase for phase, is_on in wanted if is_on]
 
 
-def _not_comparable(o: SceneObject, view: ObjectEvidence) -> str | None:
-    """Why an object and its mask cannot be compared at all."""
-    camera = view.scene.camera
+def _not_in_view(o: SceneObject, camera: Camera) -> str:
+    """Why an object has no silhouette to compare; empty where it has one."""
     pixels, z = camera.project(o.vertices_world)
     if z.min() <= rasterizer.NEAR:
         return "it reaches behind the camera"
     if np.any(pixels.max(0) < 0) or np.any(pixels.min(0) > [camera.width, camera.height]):
         return "it lies outside of the picture"
-    if np.count_nonzero(o.mask & view.valid) < SMALLEST_AREA:
-        return "nearer objects hide all of its mask"
-    return None
+    return ""
 
 
 def _object_fit(o: SceneObject, view: ObjectEvidence, config: AlignConfig, *, resolution: int) -> ObjectFit:
@@ -220,7 +252,7 @@ def _freedom(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> Objec
 
 def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evidence:
     scene, camera = view.scene, view.scene.camera
-    geometry = scene.geometry if scene.geometry and scene.geometry.source != "ground" else None
+    geometry = _surfaces_seen(scene)
     window = window_around(o, camera, config.appearance.resolution)
     shown = sampled(o.mask & view.valid, camera, window, fill=False)
     hidden = ~sampled(view.valid, camera, window, fill=True)
@@ -234,14 +266,25 @@ def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evi
     )
 
 
+def _surfaces_seen(scene: Scene) -> Geometry | None:
+    """The geometry, where it shows more than the ground."""
+    return scene.geometry if scene.geometry and scene.geometry.source != "ground" else None
+
+
 # --- phases ---------------------------------------------------------------------------------------------------------
 
 
-def _fitted(placed: _Placed, _: _Evidence, __: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
-    """Equations 8 and 9: the best of several seeds."""
-    found = placed.fit.best(config.search.yaw_seeds, kept=config.search.kept_seeds, iterations=config.search.iterations)
+def _fitted(placed: _Placed, _: _Evidence, view: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
+    """Equations 8 and 9: the best of several seeds; again from there while shift or scale end at their bounds."""
+    search, best = config.search, placed
+    for _round in range(search.rounds):
+        found = best.fit.best(search.yaw_seeds, kept=search.kept_seeds, iterations=search.iterations)
+        best = best.moved(found.x)
+        if np.abs(found.x[SHIFTS_AND_SCALE]).max() < 1:
+            break
+        best = _started(best.object, view, config)
     kept, decision = keep_better(
-        placed, placed.moved(found.x), score=_iou, step="object", measure="valid mask IoU",
+        placed, best, score=_iou, step="object", measure="valid mask IoU",
         about=placed.base.id,
     )  # fmt: skip
     return kept, [decision]
@@ -444,6 +487,11 @@ def _after(placed: _Placed, T: Array, view: ObjectEvidence, config: AlignConfig,
     surface = placed.fit.surface.moved(T_u, s_u).moved(T, scale)
     fit = replace(placed.fit, surface=surface, freedom=_freedom(base, view, config))
     return _Placed(base=base, fit=fit, u=np.zeros(6))
+
+
+def _started(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Placed:
+    """An object where it is, with its freedom about that and a window around it."""
+    return _Placed(base=o, fit=_object_fit(o, view, config, resolution=config.resolution), u=np.zeros(6))
 
 
 def _turned_from(came: SceneObject, found: Orientation, view: ObjectEvidence, config: AlignConfig) -> _Placed:
