@@ -37,8 +37,8 @@ class SearchConfig:
     """Number of seeds that are refined, the best first."""
     iterations: int = 12
     """Most steps of the final search; each seed gets half of them."""
-    rounds: int = 5
-    """Most searches, each from where the last one ended at the bounds of shift or scale."""
+    further: int = 4
+    """Most further searches, each from where the last one ended at the bounds of shift or scale."""
     prior: tuple[float, float, float, float, float, float] = (0.01, 0.01, 0.05, 0.02, 0.02, 0.02)
     """Quadratic priors on shifts, yaw, two tilts and scale, each over its bound. A silhouette without yaw prefers one
     by noise; generated poses are right to ten degrees, which cost .0025 here."""
@@ -123,6 +123,11 @@ class AlignConfig:
     orientations: OrientationConfig = OrientationConfig()
     facets: FacetConfig = FacetConfig()
     depth: DepthConfig = DepthConfig()
+
+    @property
+    def anywhere(self) -> bool:
+        """Whether objects may end far from where they came: those that rest may not."""
+        return self.orientations.enabled
 
     def under_contact(self) -> AlignConfig:
         """For objects that rest: they stay on their supports, and only small moves without tilt are tried."""

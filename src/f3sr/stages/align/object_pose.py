@@ -109,6 +109,11 @@ class _Found:
     placed: _Placed
     decisions: list[Decision]
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the object may have come far from its mask."""
+        return self.came.iou < LEAST_IOU or self.placed.iou < FAR
+
 
 _Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Placed, list[Decision]]]
 
@@ -121,7 +126,13 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
 
     if np.count_nonzero(o.mask & view.valid) < SMALLEST_AREA:
         return kept("nearer objects hide all of its mask")
-    found = _found(o, view, config)
+    elsewhere = config.anywhere and not o.lifted
+    unseen = _not_in_view(o, view.scene.camera)
+    if unseen and not elsewhere:
+        return kept(unseen)
+    found = None if unseen else _near(o, view, config)
+    if found is None or (elsewhere and found.is_doubtful):
+        found = _from_its_mask(o, view, config, found, unseen)
     if found.placed.iou < LEAST_IOU:
         return kept(f"its mask and its mesh do not show the same thing: valid mask IoU {found.placed.iou:.2f} at best")
     if found.placed.object is o:
@@ -130,12 +141,11 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
     return _as_one_motion(o, found.placed.object, reason=reason), found.decisions
 
 
-def _found(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Found:
-    """The best pose near that in which an object came; also from its mask, where either misses much of that."""
-    unseen = _not_in_view(o, view.scene.camera)
-    found = None if unseen else _near(o, view, config)
-    if found and found.placed.iou >= FAR and found.came.iou >= LEAST_IOU:
-        return found
+def _from_its_mask(
+    o: SceneObject, view: ObjectEvidence, config: AlignConfig, found: _Found | None, unseen: str
+) -> _Found:
+    """The best pose from its mask, unless what was ``found`` near its input pose misses hardly more. None was where the
+    object is ``unseen`` there."""
     brought = at_its_mask(o, _surfaces_seen(view.scene), view.scene.camera, stage="align")
     also, reason = _near(brought, view, config), unseen
     if found:
@@ -275,16 +285,13 @@ def _surfaces_seen(scene: Scene) -> Geometry | None:
 
 
 def _fitted(placed: _Placed, _: _Evidence, view: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
-    """Equations 8 and 9: the best of several seeds; again from there while shift or scale end at their bounds."""
-    search, best = config.search, placed
-    for _round in range(search.rounds):
-        found = best.fit.best(search.yaw_seeds, kept=search.kept_seeds, iterations=search.iterations)
-        best = best.moved(found.x)
-        if np.abs(found.x[SHIFTS_AND_SCALE]).max() < 1:
-            break
-        best = _started(best.object, view, config)
+    """Equations 8 and 9: the best of several seeds; again from there where shift or scale end at their bounds."""
+    found = _best_of_seeds(placed, config)
+    if config.anywhere:
+        far = _beyond_bounds(found, view, config)
+        found = far if 1 - far.iou <= config.orientations.share * (1 - found.iou) else found
     kept, decision = keep_better(
-        placed, best, score=_iou, step="object", measure="valid mask IoU",
+        placed, found, score=_iou, step="object", measure="valid mask IoU",
         about=placed.base.id,
     )  # fmt: skip
     return kept, [decision]
@@ -402,6 +409,21 @@ def _at_its_depth(
 
 
 # --- parts of phases --------------------------------------------------------------------------------------------------
+
+
+def _best_of_seeds(placed: _Placed, config: AlignConfig) -> _Placed:
+    search = config.search
+    found = placed.fit.best(search.yaw_seeds, kept=search.kept_seeds, iterations=search.iterations)
+    return placed.moved(found.x)
+
+
+def _beyond_bounds(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> _Placed:
+    """Searches from where the last one ended, while shift or scale are at their bounds there."""
+    for _ in range(config.search.further):
+        if np.abs(placed.u[SHIFTS_AND_SCALE]).max() < 1:
+            break
+        placed = _best_of_seeds(_started(placed.object, view, config), config)
+    return placed
 
 
 @dataclass(frozen=True, kw_only=True)
