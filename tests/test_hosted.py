@@ -439,12 +439,12 @@ def expected(fault: Fault, wire: Wire) -> Fault:
 
 
 def inflicted() -> Iterator[Any]:
-    """Faults in what a service says at every service. Those of HTTP, which one client hears for all, at every other
-    service that has jobs, and at the one that has none; of those, what lasts until a limit at half of all."""
+    """Faults in what a service says at every service. Those of HTTP, which one client hears for all, at every third
+    service that has jobs, and at the one that has none; of those, what lasts until a limit at a third of all."""
     for k, name in enumerate(WIRES):
         for number, fault in enumerate(FAULTS):
             shared = fault.answer is not None and (name != DIRECT or bool(fault.limits))
-            if not shared or (k + number) % 2 == 0:
+            if not shared or (k + number) % 3 == 0:
                 yield pytest.param(name, fault, id=f"{name}-{fault.name}")
 
 

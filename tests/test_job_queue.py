@@ -194,7 +194,7 @@ POINTS: dict[str, Callable[[JobFolder], bool]] = {
     "begun": lambda job: job.record.state == "running",
     "locked": lambda job: job.pid is not None,
     "up": lambda job: bool(job.pid),
-    **{f"event {n}": lambda job, n=n: len(job.events()) >= n for n in range(1, 6)},
+    **{f"event {n}": lambda job, n=n: len(job.events()) >= n for n in (1, 3, 5)},
     "ended": lambda job: job.end is not None,
 }
 
