@@ -13,6 +13,10 @@ from f3sr.scene import Geometry, SceneObject
 from f3sr.vision.depth_prior import GEOMETRY_PIXELS
 from f3sr.vision.silhouette import Mask
 
+LEAST_SLOPE = 1e-3
+"""Of a ray that meets the ground, down over forward."""
+LEAST_DISTANCE = 0.01
+"""Of an object whose distance nothing tells [m]."""
 SAMPLES = 1_000
 """Points of a mesh whose spread is compared with the geometry's."""
 STRAYS = (2, 98)
@@ -46,8 +50,10 @@ def seen_distance(mask: Mask, geometry: Geometry | None, camera: Camera) -> floa
     pixel = np.array([columns[lowest].mean() + 0.5, rows.max() + 1.0, 1.0])
     ray = camera.T_world_camera[:3, :3] @ np.linalg.solve(camera.K, pixel)
     height = float(camera.center[2])
-    # A ray that does not meet the ground in front of the camera: as far as the camera is high.
-    return height / -float(ray[2]) if ray[2] < -1e-3 else height
+    if height > 0 and ray[2] < -LEAST_SLOPE:
+        return height / -float(ray[2])
+    # It does not meet the ground in front of the camera: as far as the camera is from that.
+    return max(abs(height), LEAST_DISTANCE)
 
 
 def seen_points(mask: Mask, geometry: Geometry | None) -> Array | None:
