@@ -182,6 +182,12 @@ def test_an_object_that_came_the_wrong_way_round_is_found_in_every_orientation(
         assert turn_between(aligned(scene, wrong, unsearched), scene[0]) > 30
 
 
+def test_what_was_turned_is_fitted_again_as_it_may_lean_too() -> None:
+    scene = photographed(thing(0, HAMMER, (0, 0, 0.04)))
+    wrong = disturbed(disturbed(scene[0], UP, np.pi), SIDEWAYS, 0.2)
+    assert turn_between(aligned(scene, wrong), scene[0]) < 3
+
+
 @pytest.mark.parametrize("stretch", [(1.15, 1, 1), (1, 1.6, 1), (1, 1, 1.5)], ids=["longer", "wider", "higher"])
 def test_a_wrong_shape_is_no_reason_for_another_orientation(stretch: tuple[float, float, float]) -> None:
     scene = photographed(thing(0, HAMMER, (0, 0.05, 0.025)))

@@ -363,7 +363,11 @@ def _reoriented(
         choice=f"another orientation: {'accepted' if is_kept else 'none fits better'}", reason=was.told(now),
         about=came.id,
     )  # fmt: skip
-    return (best if is_kept else placed), [decision]
+    if not is_kept:
+        return placed, [decision]
+    best, fitted = _fitted(_started(best.object, view, config), evidence, view, config)
+    best, polished = _polished(best, evidence, view, config)
+    return best, [decision, *fitted, *polished]
 
 
 def _standing(
