@@ -292,6 +292,17 @@ def test_what_came_far_from_its_mask_is_found(way: str) -> None:
     assert all("sought at its mask" in d.choice for d in sought)
 
 
+def test_objects_off_their_masks_say_nothing_of_the_camera() -> None:
+    scene = photographed(thing(0, BOX, (-0.2, 0.1, 0.06)), thing(1, CAN, (0.1, 0, 0.07)))
+    away = scene[0].moved(pose(t=np.array([0.3, 0, 0])), stage="test", reason="")
+    after, _ = align(scene.with_objects(away), AlignConfig(objects=False))
+    assert np.allclose(after.camera.T_world_camera, CAMERA.T_world_camera, atol=2e-3)
+    alone = replace(scene, objects=(away,))
+    after, outcome = align(alone, AlignConfig(objects=False))
+    assert after.camera is alone.camera
+    assert [(d.choice, d.fallback) for d in outcome.decisions] == [("camera: stays as it came", True)]
+
+
 # --- what cannot be aligned ----------------------------------------------------------------------------------------
 
 

@@ -64,11 +64,7 @@ def align(
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera and not all(o.lifted for o in scene):
-        # What is elsewhere says nothing of the camera.
-        known = replace(scene, objects=tuple(o for o in scene if before[o.id] >= LEAST_IOU))
-        if known.objects:
-            known, decisions = align_camera(known, config, score=lambda s: _mean(_ious(s, config)))
-            scene = replace(scene, camera=known.camera, geometry=known.geometry)
+        scene, decisions = _with_camera(scene, before, config)
     if config.objects:
         ids, compared = [o.id for o in scene if only is None or o.id in only], dict[int, Mask]()
         for _ in range(PASSES):
@@ -82,6 +78,16 @@ def align(
     decisions += _behind_what_is_no_object(scene)
     scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
     return scene, Aligned(before=before, after=after, decisions=tuple(decisions))
+
+
+def _with_camera(scene: Scene, ious: Mapping[int, float], config: AlignConfig) -> tuple[Scene, list[Decision]]:
+    """The scene before the camera that fits the objects on their masks: what is elsewhere says nothing of it."""
+    known = replace(scene, objects=tuple(o for o in scene if ious[o.id] >= LEAST_IOU))
+    if not known.objects:
+        reason = f"no object covers its mask with an IoU of {LEAST_IOU}"
+        return scene, [Decision(choice="camera: stays as it came", reason=reason, fallback=True)]
+    known, decisions = align_camera(known, config, score=lambda s: _mean(_ious(s, config)))
+    return replace(scene, camera=known.camera, geometry=known.geometry), decisions
 
 
 def _objects_aligned(
