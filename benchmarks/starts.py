@@ -34,7 +34,7 @@ from f3sr.vision.silhouette import iou
 from run import REPO
 
 NEAR = 0.02
-"""Loss of IoU, where nothing nearer hides an object, at which a turned start has arrived: what looks alike counts."""
+"""Loss of IoU, where nothing nearer hides an object, at which a start has arrived: what looks alike counts."""
 SHARE = 0.9
 """Of the starts of a kind, how many should arrive."""
 ON_ITS_SIDE = 0.85

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import transform
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
@@ -33,10 +34,9 @@ def seen_through(scene: Scene, noise: float) -> Mapping[int, float]:
     geometry = scene.geometry
     if geometry is None or geometry.source == "ground":
         return {}
-    heights = {
-        o.id: height for o in scene if _has_size(o, scene) and (height := _height(o, scene, geometry)) is not None
-    }
-    return {id: h for id, h in heights.items() if h + NOISE * noise < THROUGH * _least_width(scene[id])}
+    heights = {o.id: height for o in scene if not o.lifted and (height := _height(o, scene, geometry)) is not None}
+    low = {id: h for id, h in heights.items() if h + NOISE * noise < THROUGH * _least_width(scene[id])}
+    return {id: h for id, h in low.items() if _has_size_of_mask(scene[id], scene.camera)}
 
 
 def without_depth_of(scene: Scene, ids: Collection[int]) -> Scene:
@@ -54,10 +54,10 @@ def _height(o: SceneObject, scene: Scene, geometry: Geometry) -> float | None:
     return float(np.percentile(heights, HIGH)) if len(heights) >= ENOUGH else None
 
 
-def _has_size(o: SceneObject, scene: Scene) -> bool:
+def _has_size_of_mask(o: SceneObject, camera: Camera) -> bool:
     """Whether the size of an object is that of something its mask may show."""
-    pixels, z = scene.camera.project(o.vertices_world)
-    if o.lifted or z.min() <= rasterizer.NEAR:
+    pixels, z = camera.project(o.vertices_world)
+    if z.min() <= rasterizer.NEAR:
         return False
     mask = np.argwhere(o.mask)
     return bool(np.linalg.norm(np.ptp(pixels, axis=0)) <= LARGER * np.linalg.norm(np.ptp(mask, axis=0) + 1))

@@ -38,7 +38,8 @@ NEAR_VERTICAL = 0.9
 NOISE = 1.5
 """Spread of an object's depths, in standard deviations of the geometry, that is still its noise: a mean is exceeded."""
 LEAST_IOU = 0.2
-"""IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
+"""IoU below which a mesh and its mask do not show the same thing. After the search the object stays as it came. Before
+it, the object is elsewhere: it is sought at its mask too, and says nothing of the camera."""
 FAR = 0.7
 """IoU at the end below which an object may have come far from its mask. Few of those end there that did not."""
 CONTESTED = 0.04
@@ -77,7 +78,7 @@ class _Placed:
     fit: ObjectFit
     u: Array
 
-    @property
+    @cached_property
     def iou(self) -> float:
         return self.fit.iou(self.u)
 
