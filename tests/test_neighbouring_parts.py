@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from f3sr.contact.polytopes import Polytope, separation
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array, pose, transform
 from f3sr.proxies.hulls import planes
 from f3sr.proxies.neighbouring_parts import NeighbouringParts
 from f3sr.scene import SceneObject
@@ -79,3 +79,27 @@ def test_nothing_around_leaves_the_ground() -> None:
     height = float(Polytope.of(part).moved(o.T_world_asset).vertices[:, 2].min())
     assert around.are_apart(part, planes(part), np.array([height]))
     assert not around.are_apart(part, planes(part), np.array([height + 1e-6]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), scale=st.floats(0.5, 2), deeper=st.floats(0, 0.01))
+def test_what_is_between_two_parts_forbids_one_hull_for_both(seed: int, scale: float, deeper: float) -> None:
+    """Segments that pass deep enough through a part, by points on them; a hull of both ends is never free then."""
+    parts = scattered(seed, 14)
+    (first, *others), rest = parts[:6], parts[6:]
+    o = turned(scale)
+    around = NeighbouringParts(o, placed(rest), within=1.0, reach=REACH)
+    gaps = around.gaps(first)
+    allowed = np.array([np.minimum(gaps, around.gaps(other)) - deeper for other in others])
+    start, ends = first.vertices.mean(0), np.array([other.vertices.mean(0) for other in others])
+    found = around.are_between(start, ends, allowed)
+    for is_between, end, other, least in zip(found, ends, others, allowed, strict=True):
+        hull = ConvexPart.hull_of(np.concatenate([first.vertices, other.vertices]))
+        assert not (is_between and around.are_apart(hull, planes(hull), least))
+        points = transform(o.T_world_asset, start + np.linspace(0, 1, 400)[:, None] * (end - start))
+        depths = np.array([(p.offsets - points @ p.normals.T).min(1).max() for p in around.parts])
+        needed = np.maximum(-least[:-1], 0)
+        if (depths > needed + 1e-8).any():
+            assert is_between
+        if (depths < needed - 1e-3 * scale).all():
+            assert not is_between

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import Compound, placed
@@ -313,7 +314,17 @@ class _Fewer:
         """A part with each of those whose boxes touch its own, or with all."""
         boxes = np.array([self._known.box(p) for p in parts]).reshape(-1, 2, 3)
         near = np.full(len(parts), True) if anywhere else are_near(boxes, self._known.box(part), NEXT_TO * self._size)
+        if anywhere:
+            near &= ~self._are_parted(parts, part)
         return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
+
+    def _are_parted(self, parts: Sequence[ConvexPart], part: ConvexPart) -> NDArray[np.bool_]:
+        """Which of some parts have another body between them and a part, so that no hull of both is free."""
+        if not parts:
+            return np.zeros(0, bool)
+        allowed = np.minimum([self._gaps(p) for p in parts], self._gaps(part)) - max(MUCH_NEARER) * NEARER
+        middles = np.array([p.vertices.mean(0) for p in parts])
+        return self._around.are_between(part.vertices.mean(0), middles, allowed)
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         """One hull for parts; None where it would come too near to another body."""

@@ -12,7 +12,11 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, bounds_of, transform
 from f3sr.proxies.hulls import beyond
+from f3sr.runtime.kernels import kernel
 from f3sr.scene import SceneObject
+
+ROUNDING = 1e-9
+"""Depth [m] that is rounding."""
 
 Faces = tuple[Array, Array]
 """Outward unit normals (m, 3) and offsets (m,) of a part's triangles (asset frame)."""
@@ -34,6 +38,9 @@ class NeighbouringParts:
         T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
         self._vertices = [transform(T_asset_world, p.vertices) for p in self.parts]
         self._middles = np.array([v.mean(0) for v in self._vertices]).reshape(-1, 3)
+        normals, offsets = [p.normals for p in self.parts], [p.offsets for p in self.parts]
+        begins = np.cumsum([0, *map(len, offsets)])
+        self._faces = np.concatenate([np.zeros((0, 3)), *normals]), np.concatenate([np.zeros(0), *offsets]), begins
 
     def near(self, box: Array, apart: float) -> NDArray[np.int64]:
         """Which parts have boxes that come within ``apart`` [m] of a box (2, 3) (world)."""
@@ -72,6 +79,14 @@ class NeighbouringParts:
             for k in near[~separated].tolist()
         )
 
+    def are_between(self, start: Array, ends: Array, allowed: Array) -> NDArray[np.bool_]:
+        """Which segments from a point (3,) to others (m, 3) pass so deep through a part that no convex body that holds
+        them is as far from it as ``allowed`` (m, n + 1) [m]: to part two bodies, every point of one has to leave the
+        other."""
+        points = transform(self._T_world_asset, np.concatenate([start[None], ends]))
+        least = np.maximum(-allowed[:, :-1], 0) + ROUNDING
+        return _pass_through(points[0], points[1:], self._boxes, *self._faces, least)
+
     def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
         body = Polytope.of(part).moved(self._T_world_asset)
         return polytopes.separation(body, self.parts[other], enough)
@@ -85,3 +100,50 @@ def are_near(boxes: Array, box: Array, apart: float) -> NDArray[np.bool_]:
 def _is_beside(part: Polytope, points: Array, enough: float) -> bool:
     """Whether a face of a part separates it from points (n, 3) by ``enough`` [m]: a look that costs little."""
     return bool(((points @ part.normals.T).min(0) - part.offsets).max() >= enough)
+
+
+@kernel
+def _pass_through(
+    start: Array,
+    ends: Array,
+    boxes: Array,
+    normals: Array,
+    offsets: Array,
+    begins: NDArray[np.int64],
+    least: Array,
+) -> NDArray[np.bool_]:
+    """Which segments from a point (3,) to others (m, 3) have a point at a depth of ``least`` (m, k) or more in one of k
+    convex parts, whose faces begin at ``begins`` (k + 1,)."""
+    found = np.zeros(len(ends), np.bool_)
+    for i in range(len(ends)):
+        for k in range(len(boxes)):
+            is_near = True
+            for axis in range(3):
+                low, high = min(start[axis], ends[i, axis]), max(start[axis], ends[i, axis])
+                is_near &= low <= boxes[k, 1, axis] and high >= boxes[k, 0, axis]
+            if not is_near:
+                continue
+            enters, leaves = 0.0, 1.0
+            for f in range(begins[k], begins[k + 1]):
+                first = last = offsets[f] - least[i, k]
+                for axis in range(3):
+                    first -= normals[f, axis] * start[axis]
+                    last -= normals[f, axis] * ends[i, axis]
+                if first < 0 and last < 0:
+                    leaves = -1.0
+                elif first < 0:
+                    enters = max(enters, first / (first - last))
+                elif last < 0:
+                    leaves = min(leaves, first / (first - last))
+                if enters > leaves:
+                    break
+            if enters <= leaves:
+                found[i] = True
+                break
+    return found
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by calling it once."""
+    ends, boxes, normals = np.ones((1, 3)), np.zeros((1, 2, 3)), np.eye(3)[:1]
+    _pass_through(np.zeros(3), ends, boxes, normals, np.zeros(1), np.array([0, 1]), np.zeros((1, 1)))

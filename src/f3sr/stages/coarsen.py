@@ -168,6 +168,8 @@ class _Effect:
 class _Try:
     """The scene after an attempt, and its effect on every group of ids."""
 
+    fewer: frozenset[int]
+    """Objects that got fewer parts."""
     scene: Scene
     effects: Mapping[frozenset[int], _Effect]
 
@@ -234,9 +236,9 @@ class _Coarsening:
         new = self._few(self.scene, limits=limits)
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
         there = SettledScene(scene=new.with_objects(*rested.scene), restless=rested.restless)
-        now = self._tried(there, among)
+        now = self._tried(there, among, fewer)
         if moving := (among & frozenset[int]().union(*now.spoilt)) - self._balanced_once:
-            now = self._tried(self._or_balanced(there, new, moving, limits), among)
+            now = self._tried(self._or_balanced(there, new, moving, limits), among, fewer)
             self._balanced_once |= moving
         self.tries.append(now)
         for ids, effect in now.effects.items():
@@ -249,10 +251,12 @@ class _Coarsening:
             self._moved.update(self.left)
 
     def keep_limits(self) -> None:
-        """Give fewer parts only to what is over the limits; where that moves, those with which its group lost least."""
+        """Give fewer parts only to what is over the limits, unless the last attempt did just that; where that moves,
+        those with which its group lost least."""
         groups = [ids for ids in self.tries[-1].spoilt if ids & self.over]
         among = self.left.intersection(frozenset[int]().union(*groups))
-        if fewer := among & self.over - self.stuck:
+        fewer = among & self.over - self.stuck
+        if fewer and fewer != among & self.tries[-1].fewer:
             self.attempt(among, fewer)
         for ids in (ids for ids in self.tries[-1].spoilt if ids & among):
             able = [
@@ -285,8 +289,8 @@ class _Coarsening:
             if not stays:
                 self.scene = self.scene.with_objects(*(_noted(self.scene[id], scene[id]) for id in ids))
 
-    def _tried(self, after: SettledScene, among: frozenset[int]) -> _Try:
-        return _Try(scene=after.scene, effects=self._effects(after.scene, among, after.restless))
+    def _tried(self, after: SettledScene, among: frozenset[int], fewer: frozenset[int]) -> _Try:
+        return _Try(fewer=fewer, scene=after.scene, effects=self._effects(after.scene, among, after.restless))
 
     def _or_balanced(
         self, settled: SettledScene, new: Scene, moving: frozenset[int], limits: Mapping[int, PartLimits]
