@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -165,21 +166,27 @@ def test_nothing_is_held_that_contact_can_carry(planks: Scene, retries: ContactR
     assert retries.held(planks, start=planks, moving=frozenset({0, 1}), most=2).scene is planks
 
 
+def pushed_by(
+    monkeypatch: pytest.MonkeyPatch, pushed: Callable[[Scene], Collection[int]], way: Sequence[float] = (0, 0.05, 0)
+) -> None:
+    """Let physics, as it were, push away some of the objects of a scene at rest."""
+    settled = ContactRetries._at_rest
+
+    def at_rest(self: ContactRetries, scene: Scene) -> SettledScene:
+        rested = settled(self, scene)
+        moved = (rested.scene[id].moved(pose(t=way), stage="test", reason="") for id in pushed(rested.scene))
+        return replace(rested, scene=rested.scene.with_objects(*moved))
+
+    monkeypatch.setattr(ContactRetries, "_at_rest", at_rest)
+
+
 @pytest.mark.parametrize("way", [(0, 0.05, 0), (0, 0, -0.015)], ids=["far", "off its mask"])
 def test_what_falls_although_forces_balance_is_held(
     planks: Scene, retries: ContactRetries, monkeypatch: pytest.MonkeyPatch, way: tuple[float, float, float]
 ):
     """Physics, as it were, pushes away whichever plank is free: the lower one in the scene's order first."""
     planks = photographed(planks)
-    settled = ContactRetries._at_rest
-
-    def pushed(self: ContactRetries, scene: Scene) -> SettledScene:
-        rested = settled(self, scene)
-        free = [o for o in rested.scene if o.mobility == "dynamic"]
-        moved = (o.moved(pose(t=way), stage="test", reason="") for o in free)
-        return replace(rested, scene=rested.scene.with_objects(*moved))
-
-    monkeypatch.setattr(ContactRetries, "_at_rest", pushed)
+    pushed_by(monkeypatch, lambda scene: [o.id for o in scene if o.mobility == "dynamic"], way)
     both = frozenset({0, 1})
     fell = planks.with_objects(*(o.moved(pose(t=way), stage="test", reason="") for o in planks))
     for most in (0, 1):
@@ -189,3 +196,30 @@ def test_what_falls_although_forces_balance_is_held(
     assert retries.held(planks, start=planks, moving=both, most=2).scene is planks, "nothing fell"
     only = fell.with_objects(replace(fell[0], mobility_source="given"))
     assert retries.held(only, start=planks, moving=both, most=2).scene[0].mobility == "dynamic"
+
+
+@pytest.mark.parametrize(("most", "held"), [(1, [0]), (2, [0, 1])])
+def test_what_falls_once_another_is_held_that_no_forces_balance_is_held_too(
+    retries: ContactRetries, monkeypatch: pytest.MonkeyPatch, most: int, held: list[int]
+):
+    """Forces balance the second box on the ground. Where not both may be held, the one that hangs is."""
+    up = photographed(scene_of(box(0, at=(0, 0, 0.25)), box(1, at=(0.3, 0, 0.05 + 2.6e-4))))
+    down = up.with_objects(replace(up[0], T_world_object=pose(t=[0, 0, 0.05 + 2.6e-4])))
+    pushed_by(monkeypatch, lambda scene: [1] if scene[1].mobility == "dynamic" else [])
+    after = retries.held(down, start=up, moving=frozenset({0, 1}), most=most).scene
+    assert [o.id for o in after if o.mobility == "fixed"] == held
+
+
+def test_what_stays_once_others_are_held_is_free_again(
+    planks: Scene, retries: ContactRetries, monkeypatch: pytest.MonkeyPatch
+):
+    """The lower plank is held first. It stays where it is as soon as the upper one does."""
+
+    def is_free(scene: Scene) -> bool:
+        return scene[1].mobility == "dynamic"
+
+    planks, both = photographed(planks), frozenset({0, 1})
+    pushed_by(monkeypatch, lambda scene: [o.id for o in scene if o.mobility == "dynamic"] if is_free(scene) else [])
+    fell = planks.with_objects(*(o.moved(pose(t=(0, 0.05, 0)), stage="test", reason="") for o in planks))
+    after = retries.held(fell, start=planks, moving=both, most=2).scene
+    assert [o.mobility for o in after] == ["dynamic", "fixed"]

@@ -103,8 +103,8 @@ class ContactRetries:
     def held(self, before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
         """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them.
 
-        Those are what no forces balance. Where there is no such object, they are what fell although they do. Where
-        there is none either, or more than ``most``, all is as before."""
+        Those are what no forces balance. Where that is no object, or others fall all the same, they are what fell
+        although forces balance it. Where there is none either, or more than ``most``, all is as before."""
         retry = Retry.of_moving(before, start, moving)
         may_hold = [id for id in moving if before.may_be_unsupported(id)]
         seek = partial(
@@ -114,30 +114,41 @@ class ContactRetries:
             footed=self._footed,
             guessed=_guessed(retry.scene),
         )
-        placed = seek(retry.scene, may_hold=may_hold, most=most)
-        are_carried = placed is not retry.scene and not newly_fixed(retry.scene, placed, may_hold)
-        if are_carried and _fallen(start, before, may_hold):
+        rested, placed = None, seek(retry.scene, may_hold=may_hold, most=most)
+        fallen = _fallen(start, before, may_hold) if placed is not retry.scene else frozenset[int]()
+        if newly_fixed(retry.scene, placed, may_hold):
+            rested = self._on_best_footings(placed)
+            fallen = _fallen(placed, rested.scene, may_hold)
+            placed = seek(retry.scene) if fallen else placed
+        if fallen:
             placed = self._with_fallen_held(retry.scene, placed, seek, may_hold, most)
-        if not newly_fixed(retry.scene, placed, may_hold):
+            rested = self._on_best_footings(placed) if newly_fixed(retry.scene, placed, may_hold) else rested
+        if rested is None:
             return SettledScene(scene=before, restless=frozenset())
-        return self._ended(retry, self._on_best_footings(placed), won_back=WON_BACK_BALANCED)
+        return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
 
     def _with_fallen_held(
         self, scene: Scene, placed: Scene, seek: Callable[[Scene], Scene], may_hold: Collection[int], most: int
     ) -> Scene:
         """The scene in balance with objects fixed that physics moves away from there, one by one the lowest of those
-        that fall; ``placed`` is its equilibrium without. The scene as it is where more than ``most`` would be fixed."""
-        free = scene
-        for left in range(most, -1, -1):
-            rested = self._at_rest(placed).scene
-            fallen = _fallen(placed, rested, may_hold)
-            lowest = next((id for id in scene.supports_first if id in fallen), None)
-            if lowest is None:
-                return placed
-            if left:
-                scene = scene.with_objects(scene[lowest].on_something_unseen())
-                placed = seek(scene)
-        return free
+        that fall; ``placed`` is its equilibrium without. What stays there once others are fixed is free again. The
+        scene as it is where more than ``most`` would be fixed."""
+        free, held = scene, list[int]()
+        while fallen := self._fallen_from(placed, may_hold):
+            if len(held) == most:
+                return free
+            held.append(next(id for id in scene.supports_first if id in fallen))
+            scene = scene.with_objects(scene[held[-1]].on_something_unseen())
+            placed = seek(scene)
+        for id in held[:-1]:
+            there = seek(fewer := scene.with_objects(free[id]))
+            if not self._fallen_from(there, may_hold):
+                scene, placed = fewer, there
+        return placed
+
+    def _fallen_from(self, placed: Scene, ids: Collection[int]) -> frozenset[int]:
+        """Those of some objects that physics moves far from where they are."""
+        return _fallen(placed, self._at_rest(placed).scene, ids)
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
