@@ -149,6 +149,25 @@ def test_of_a_stack_on_something_unseen_the_lowest_is_held_and_carries_the_other
     assert [o.carriers for o in after.scene] == [[], [0]]
 
 
+def test_what_is_held_off_its_mask_is_sought_where_nothing_overlaps_too(
+    retries: ContactRetries, monkeypatch: pytest.MonkeyPatch
+):
+    """The search of objects as they are, as it were, ends with the upper one off its mask."""
+    begun, sought = list[bool](), contact_retries.balance
+
+    def balance(*args: Any, apart: bool = False, **others: Any) -> Scene:
+        begun.append(apart)
+        found = sought(*args, apart=apart, **others)
+        return found if apart else found.with_objects(found[1].moved(pose(t=[0.04, 0, 0]), stage="test", reason=""))
+
+    monkeypatch.setattr(contact_retries, "balance", balance)
+    up = photographed(scene_of(box(0, at=(0, 0, 0.25)), box(1, at=(0.01, 0, 0.35 + 2.6e-4))))
+    down = up.with_objects(*(replace(o, T_world_object=pose(t=[0.2 * o.id, 0, 0.05 + 2.6e-4])) for o in up))
+    after = retries.held(down, start=up, moving=frozenset({0, 1}), most=1)
+    assert not begun[0] and begun[-1] and min(after.ious.values()) > 0.98
+    assert [o.mobility for o in after.scene] == ["fixed", "dynamic"]
+
+
 @pytest.mark.parametrize("known", ["support", "mobility"])
 def test_what_is_given_to_rest_on_something_or_to_move_is_not_held(retries: ContactRetries, known: str):
     up = photographed(scene_of(box(0, at=(0, 0, 0.25)), box(1, at=(0.3, 0, 0.25))))

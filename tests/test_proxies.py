@@ -183,6 +183,18 @@ def test_a_simplified_hull_contains_the_exact_one_and_is_thin():
         assert part.volume < exact.volume * (1 + 8 / most)
 
 
+def test_facets_that_meet_at_a_small_angle_make_no_spike():
+    """A strip of .28 x .01, arched below, that becomes an edge at its end: one plane below it meets the top at .35."""
+    along = np.linspace(0, 0.28, 9)
+    points = np.array([(x, y, z) for y in along for x in (0, 0.01) for z in (0, -0.0018 * (1 - (y / 0.28) ** 2))])
+    part = simplified_outward(points, ProxyConfig())
+    allowed = ProxyConfig().cuts.loose_tolerance
+    assert (part.vertices.max(0) <= points.max(0) + allowed).all()
+    assert (part.vertices.min(0) >= points.min(0) - allowed).all()
+    polytope = Polytope.of(part)
+    assert (points @ polytope.normals.T - polytope.offsets).max() < 1e-9
+
+
 def test_a_sheet_gets_a_thickness(cache):
     sheet = Mesh(
         vertices=np.array([(0, 0, 0), (1, 0, 0), (1, 2, 0), (0, 2, 0.0)]),

@@ -104,46 +104,69 @@ class ContactRetries:
         """Move objects to their nearest equilibrium, with some of them fixed where contact cannot carry them.
 
         Those are what no forces balance. Where that is no object, or others fall all the same, they are what fell
-        although forces balance it. Where there is none either, or more than ``most``, all is as before."""
-        retry = Retry.of_moving(before, start, moving)
-        may_hold = [id for id in moving if before.may_be_unsupported(id)]
+        although forces balance it. What stays once others are fixed is free again. Where there is none, or more than
+        ``most``, all is as before. Where that leaves much off its masks, the search begins once more where nothing
+        overlaps."""
+        retry, seen = Retry.of_moving(before, start, moving), SettledScene(scene=start, restless=frozenset())
+        best = SettledScene(scene=before, restless=frozenset())
+        for apart in (False, True):
+            found = self._held(retry, start, most, apart=apart)
+            if found and _worth(found, before, moving) > _worth(best, before, moving):
+                best = found
+            if not moved_off_masks(best, seen, self._contact) & moving:
+                break
+        return best
+
+    def _held(self, retry: Retry, start: Scene, most: int, *, apart: bool) -> SettledScene | None:
+        scene, may_hold = retry.scene, [id for id in retry.moving if retry.before.may_be_unsupported(id)]
         seek = partial(
             balance,
-            costs=self._costs(retry.scene),
+            costs=self._costs(scene),
             contact=self._contact,
             footed=self._footed,
-            guessed=_guessed(retry.scene),
+            guessed=_guessed(scene),
+            apart=apart,
         )
-        rested, placed = None, seek(retry.scene, may_hold=may_hold, most=most)
-        fallen = _fallen(start, before, may_hold) if placed is not retry.scene else frozenset[int]()
-        if newly_fixed(retry.scene, placed, may_hold):
-            rested = self._on_best_footings(placed)
-            fallen = _fallen(placed, rested.scene, may_hold)
-            placed = seek(retry.scene) if fallen else placed
-        if fallen:
-            placed = self._with_fallen_held(retry.scene, placed, seek, may_hold, most)
-            rested = self._on_best_footings(placed) if newly_fixed(retry.scene, placed, may_hold) else rested
-        if rested is None:
-            return SettledScene(scene=before, restless=frozenset())
-        return self._ended(retry, rested, won_back=WON_BACK_BALANCED)
+        placed = seek(scene, may_hold=may_hold, most=most)
+        if placed is scene:
+            return None
+        if newly_fixed(scene, placed, may_hold):
+            if self._fallen_from(placed, may_hold):
+                fewer = self._with_fallen_held(scene, seek(scene), seek, may_hold, most)
+                placed = placed if fewer is scene else fewer
+        elif _fallen(start, retry.before, may_hold):
+            placed = self._with_fallen_held(scene, placed, seek, may_hold, most)
+        if not newly_fixed(scene, placed, may_hold):
+            return None
+        placed = self._with_fewest_held(scene, placed, seek, may_hold)
+        return self._ended(retry, self._on_best_footings(placed), won_back=WON_BACK_BALANCED)
 
     def _with_fallen_held(
         self, scene: Scene, placed: Scene, seek: Callable[[Scene], Scene], may_hold: Collection[int], most: int
     ) -> Scene:
         """The scene in balance with objects fixed that physics moves away from there, one by one the lowest of those
-        that fall; ``placed`` is its equilibrium without. What stays there once others are fixed is free again. The
-        scene as it is where more than ``most`` would be fixed."""
-        free, held = scene, list[int]()
-        while fallen := self._fallen_from(placed, may_hold):
-            if len(held) == most:
-                return free
-            held.append(next(id for id in scene.supports_first if id in fallen))
-            scene = scene.with_objects(scene[held[-1]].on_something_unseen())
-            placed = seek(scene)
-        for id in held[:-1]:
-            there = seek(fewer := scene.with_objects(free[id]))
-            if not self._fallen_from(there, may_hold):
-                scene, placed = fewer, there
+        that fall; ``placed`` is its equilibrium without. The scene as it is where more than ``most`` would be fixed."""
+        free = scene
+        for left in range(most, -1, -1):
+            fallen = self._fallen_from(placed, may_hold)
+            lowest = next((id for id in scene.supports_first if id in fallen), None)
+            if lowest is None:
+                return placed
+            if left:
+                scene = scene.with_objects(scene[lowest].on_something_unseen())
+                placed = seek(scene)
+        return free
+
+    def _with_fewest_held(
+        self, scene: Scene, placed: Scene, seek: Callable[[Scene], Scene], may_hold: Collection[int]
+    ) -> Scene:
+        """The scene in balance without those fixed that stay once the others are; ``placed`` is that with all."""
+        held = newly_fixed(scene, placed, may_hold)
+        for id in held:
+            others = [k for k in held if k != id]
+            there = seek(scene.with_objects(*(scene[k].on_something_unseen() for k in others))) if others else placed
+            if others and not self._fallen_from(there, may_hold):
+                held, placed = others, there
         return placed
 
     def _fallen_from(self, placed: Scene, ids: Collection[int]) -> frozenset[int]:
@@ -324,6 +347,12 @@ def _fallen(before: Scene, after: Scene, ids: Collection[int]) -> frozenset[int]
     far = frozenset(id for id in ids if np.linalg.norm(before[id].way_to(after[id])) > FALL * before[id].size)
     outlines = ((id, *(full_silhouette(s[id], before.camera) for s in (before, after))) for id in ids)
     return far or frozenset(id for id, was, now in outlines if iou(was, now) < 1 - UNSEEN)
+
+
+def _worth(state: SettledScene, before: Scene, moving: frozenset[int]) -> tuple[bool, float]:
+    """What a scene with some objects held shows, less what each of them has to win; first whether it is at rest."""
+    held = len(newly_fixed(before, state.scene, moving))
+    return not state.restless & moving, sum(state.ious[id] for id in moving) - UNSEEN * held
 
 
 def _guessed(scene: Scene) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from f3sr.contact.least_norm import shortest
 from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array, bounds_of
 from f3sr.proxies.config import ProxyConfig
@@ -43,12 +44,35 @@ def simplified_outward(
         excess = corners @ normals.T - offsets
         worst = int(excess.argmax())
         count = len(kept_offsets)
-        if excess.flat[worst] <= (THICKNESS if count < most else config.cuts.loose_tolerance) or count >= 2 * most:
+        if count >= 2 * most:
             break
-        plane = worst % len(offsets)
-        kept_normals = np.vstack([kept_normals, normals[plane]])
-        kept_offsets = np.append(kept_offsets, offsets[plane])
+        if excess.flat[worst] > (THICKNESS if count < most else config.cuts.loose_tolerance):
+            plane = normals[worst % len(offsets)], offsets[worst % len(offsets)]
+        elif spike := _plane_below_spike(corners, hull, (normals, offsets), config.cuts.loose_tolerance):
+            plane = spike
+        else:
+            break
+        kept_normals, kept_offsets = np.vstack([kept_normals, plane[0]]), np.append(kept_offsets, plane[1])
     return ConvexPart.hull_of(merged(corners))
+
+
+def _plane_below_spike(corners: Array, hull: ConvexPart, facets: Planes, most: float) -> tuple[Array, float] | None:
+    """The plane that separates a hull from a corner farther than ``most`` from it; None where there is none.
+
+    Two facets that meet at a small angle may do so far away, hardly beyond the plane of either."""
+    normals, offsets = facets
+    # No corner is farther than the nearest vertex, nor than where the way from the middle to it leaves the hull.
+    middle = hull.vertices.mean(0)
+    from_middle = corners - middle
+    leaves = 1 / np.maximum((from_middle @ normals.T / (offsets - normals @ middle)).max(1), 1)
+    nearest = np.array([np.linalg.norm(hull.vertices - corner, axis=1).min() for corner in corners])
+    nearest = np.minimum(nearest, (1 - leaves) * np.linalg.norm(from_middle, axis=1))
+    for corner in corners[np.argsort(-nearest)[: np.count_nonzero(nearest > most)]]:
+        way = shortest(np.column_stack([-normals, normals @ corner - offsets]))
+        if way is not None and (distance := float(np.linalg.norm(way))) > most:
+            normal = -way / distance
+            return normal, float((hull.vertices @ normal).max())
+    return None
 
 
 def flats_of(hull: ConvexPart) -> Planes:
