@@ -29,7 +29,8 @@ def simplified_outward(
 
     Its planes are the hull's flats first. Then planes of the hull are added one by one: the one that cuts off most of
     the farthest protruding corner. This ends when corners protrude by less than ``THICKNESS``, or with ``most`` facets
-    by less than ``loose_tolerance``; twice ``most`` are never exceeded. ``base`` holds the flats of the whole mesh.
+    by less than ``loose_tolerance``, which is the most that they may be away from the hull too. Twice ``most`` are never
+    exceeded. ``base`` holds the flats of the whole mesh.
     Flats that the points reach are used, so that all parts of an object end in one base. A hull too thin for that stays
     as it is. Raises ValueError when the points span no volume.
     """
