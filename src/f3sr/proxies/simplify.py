@@ -29,10 +29,9 @@ def simplified_outward(
 
     Its planes are the hull's flats first. Then planes of the hull are added one by one: the one that cuts off most of
     the farthest protruding corner. This ends when corners protrude by less than ``THICKNESS``, or with ``most`` facets
-    by less than ``loose_tolerance``, which is the most that they may be away from the hull too. Twice ``most`` are never
-    exceeded. ``base`` holds the flats of the whole mesh.
-    Flats that the points reach are used, so that all parts of an object end in one base. A hull too thin for that stays
-    as it is. Raises ValueError when the points span no volume.
+    by less than ``loose_tolerance``. None is farther than that from the hull. Twice ``most`` are never exceeded.
+    ``base`` holds the flats of the whole mesh. Flats that the points reach are used, so that all parts of an object end
+    in one base. A hull too thin for that stays as it is. Raises ValueError when the points span no volume.
     """
     hull = ConvexPart.hull_of(points)
     normals, offsets = planes(hull)
@@ -65,7 +64,8 @@ def _plane_below_spike(corners: Array, hull: ConvexPart, facets: Planes, most: f
     # No corner is farther than the nearest vertex, nor than where the way from the middle to it leaves the hull.
     middle = hull.vertices.mean(0)
     from_middle = corners - middle
-    leaves = 1 / np.maximum((from_middle @ normals.T / (offsets - normals @ middle)).max(1), 1)
+    inside = np.maximum(offsets - normals @ middle, np.finfo(float).tiny)
+    leaves = 1 / np.maximum((from_middle @ normals.T / inside).max(1), 1)
     nearest = np.array([np.linalg.norm(hull.vertices - corner, axis=1).min() for corner in corners])
     nearest = np.minimum(nearest, (1 - leaves) * np.linalg.norm(from_middle, axis=1))
     for corner in corners[np.argsort(-nearest)[: np.count_nonzero(nearest > most)]]:
