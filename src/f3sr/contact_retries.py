@@ -118,6 +118,7 @@ class ContactRetries:
         return best
 
     def _held(self, retry: Retry, start: Scene, most: int, *, apart: bool) -> SettledScene | None:
+        """``held`` from one start; None where nothing is held."""
         scene, may_hold = retry.scene, [id for id in retry.moving if retry.before.may_be_unsupported(id)]
         seek = partial(
             balance,
@@ -130,12 +131,10 @@ class ContactRetries:
         placed = seek(scene, may_hold=may_hold, most=most)
         if placed is scene:
             return None
-        if newly_fixed(scene, placed, may_hold):
-            if self._fallen_from(placed, may_hold):
-                fewer = self._with_fallen_held(scene, seek(scene), seek, may_hold, most)
-                placed = placed if fewer is scene else fewer
-        elif _fallen(start, retry.before, may_hold):
-            placed = self._with_fallen_held(scene, placed, seek, may_hold, most)
+        is_held = bool(newly_fixed(scene, placed, may_hold))
+        if self._fallen_from(placed, may_hold) if is_held else _fallen(start, retry.before, may_hold):
+            found = self._with_fallen_held(scene, seek(scene) if is_held else placed, seek, may_hold, most)
+            placed = placed if found is scene else found
         if not newly_fixed(scene, placed, may_hold):
             return None
         placed = self._with_fewest_held(scene, placed, seek, may_hold)
@@ -164,8 +163,10 @@ class ContactRetries:
         held = newly_fixed(scene, placed, may_hold)
         for id in held:
             others = [k for k in held if k != id]
-            there = seek(scene.with_objects(*(scene[k].on_something_unseen() for k in others))) if others else placed
-            if others and not self._fallen_from(there, may_hold):
+            if not others:
+                break
+            there = seek(scene.with_objects(*(scene[k].on_something_unseen() for k in others)))
+            if not self._fallen_from(there, may_hold):
                 held, placed = others, there
         return placed
 
@@ -177,7 +178,7 @@ class ContactRetries:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.
 
         ``finished`` gives the scene its last parts, where objects have their footings and before physics. No other
-        equilibrium is sought: in seven scenes the first decided, and further ones took half of the time."""
+        equilibrium is sought: in seven scenes further ones changed no outcome, and they took half of the time."""
         retry = Retry.of_moving(before, before, moving)
         rested = self._nearest_balance(retry.scene, self._costs(retry.scene), rougher=False, finished=finished)
         return retry.ended(rested, self._contact, settled=self._at_rest)

@@ -311,11 +311,12 @@ class _Fewer:
         return FELT * self._limits.worth * hull.area * self._size if hull else 0.0
 
     def _pairs(self, parts: Sequence[ConvexPart], part: ConvexPart, *, anywhere: bool = False) -> list[Pair]:
-        """A part with each of those whose boxes touch its own, or with all."""
-        boxes = np.array([self._known.box(p) for p in parts]).reshape(-1, 2, 3)
-        near = np.full(len(parts), True) if anywhere else are_near(boxes, self._known.box(part), NEXT_TO * self._size)
+        """A part with each of those whose boxes touch its own, or with all that may have one hull with it."""
         if anywhere:
-            near &= ~self._are_parted(parts, part)
+            near = ~self._are_parted(parts, part)
+        else:
+            boxes = np.array([self._known.box(p) for p in parts]).reshape(-1, 2, 3)
+            near = are_near(boxes, self._known.box(part), NEXT_TO * self._size)
         return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
 
     def _are_parted(self, parts: Sequence[ConvexPart], part: ConvexPart) -> NDArray[np.bool_]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
+from f3sr.contact.compounds import Arrays, Compound
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, bounds_of, transform
@@ -38,9 +40,10 @@ class NeighbouringParts:
         T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
         self._vertices = [transform(T_asset_world, p.vertices) for p in self.parts]
         self._middles = np.array([v.mean(0) for v in self._vertices]).reshape(-1, 3)
-        normals, offsets = [p.normals for p in self.parts], [p.offsets for p in self.parts]
-        begins = np.cumsum([0, *map(len, offsets)])
-        self._faces = np.concatenate([np.zeros((0, 3)), *normals]), np.concatenate([np.zeros(0), *offsets]), begins
+
+    @cached_property
+    def _arrays(self) -> Arrays:
+        return Compound.of(self.parts).arrays
 
     def near(self, box: Array, apart: float) -> NDArray[np.int64]:
         """Which parts have boxes that come within ``apart`` [m] of a box (2, 3) (world)."""
@@ -85,7 +88,7 @@ class NeighbouringParts:
         other."""
         points = transform(self._T_world_asset, np.concatenate([start[None], ends]))
         least = np.maximum(-allowed[:, :-1], 0) + ROUNDING
-        return _pass_through(points[0], points[1:], self._boxes, *self._faces, least)
+        return _pass_through(points[0], points[1:], self._arrays, least)
 
     def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
         body = Polytope.of(part).moved(self._T_world_asset)
@@ -106,14 +109,12 @@ def _is_beside(part: Polytope, points: Array, enough: float) -> bool:
 def _pass_through(
     start: Array,
     ends: Array,
-    boxes: Array,
-    normals: Array,
-    offsets: Array,
-    begins: NDArray[np.int64],
+    parts: Arrays,
     least: Array,
 ) -> NDArray[np.bool_]:
     """Which segments from a point (3,) to others (m, 3) have a point at a depth of ``least`` (m, k) or more in one of k
-    convex parts, whose faces begin at ``begins`` (k + 1,)."""
+    convex parts."""
+    boxes, normals, offsets, begins = parts.boxes, parts.normals, parts.offsets, parts.begins
     found = np.zeros(len(ends), np.bool_)
     for i in range(len(ends)):
         for k in range(len(boxes)):
@@ -124,7 +125,7 @@ def _pass_through(
             if not is_near:
                 continue
             enters, leaves = 0.0, 1.0
-            for f in range(begins[k], begins[k + 1]):
+            for f in range(begins[k, 1], begins[k + 1, 1]):
                 first = last = offsets[f] - least[i, k]
                 for axis in range(3):
                     first -= normals[f, axis] * start[axis]
@@ -145,5 +146,5 @@ def _pass_through(
 
 def warm_up() -> None:
     """Compile every kernel of this module by calling it once."""
-    ends, boxes, normals = np.ones((1, 3)), np.zeros((1, 2, 3)), np.eye(3)[:1]
-    _pass_through(np.zeros(3), ends, boxes, normals, np.zeros(1), np.array([0, 1]), np.zeros((1, 1)))
+    part = Polytope.of(ConvexPart.hull_of(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])))
+    _pass_through(np.zeros(3), np.ones((1, 3)), Compound.of([part]).arrays, np.zeros((1, 1)))
