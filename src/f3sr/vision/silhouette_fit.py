@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,8 @@ SMALLEST_AREA = 16
 """Pixels of a silhouette below which its centre and area say nothing."""
 SEED_STEPS = 2
 """Closed-form corrections of a seed: the second finds what perspective made of the first."""
+OUTSIDE = 1.0
+"""What a pixel of a silhouette beyond the window costs: there is no mask."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,9 +70,8 @@ class ObjectFit:
         """(5,) over the pixels of the silhouette."""
         return self.shown(u).sums(self.camera, self.target.fields)
 
-    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
-        """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
-        starts = [np.zeros(6), *(self.seed(yaw) for yaw in yaws)]
+    def best(self, starts: Sequence[Array], *, kept: int, iterations: int) -> Minimum:
+        """The best of some starts (6,), of which the first ``kept`` are refined."""
         values = [self.value(u) for u in starts]
         ranked = [starts[k] for k in np.argsort(values, kind="stable")]
         refined = [self.refined(u, iterations=iterations // 2) for u in ranked[:kept]]
@@ -81,10 +82,7 @@ class ObjectFit:
         areas the scale."""
         reach = self.freedom.reach
         u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
-        depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
-        # Weak perspective: (2, 2), how far a point at the anchor's depth moves in the picture per metre along
-        # ``basis``.
-        pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
+        pixels_per_shift = self._pixels_per_shift()
         for _ in range(SEED_STEPS):
             found = self._sums(u)
             area = found[VALID]
@@ -97,6 +95,37 @@ class ObjectFit:
             u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
             u = np.clip(u, -1, 1)
         return u
+
+    def seed_by_overlap(self, yaw: float, scale: float) -> Array:
+        """A start (6,) with a yaw [rad] and a scale, at the shift within bounds where the silhouette costs least.
+
+        All shifts are compared at once: what a silhouette costs is its correlation with what each pixel costs. Of an
+        object that others hide in part, centroid and area tell little: what is hidden changes with the shift."""
+        from scipy import fft
+
+        reach = self.freedom.reach
+        u = np.clip([0.0, 0, yaw / reach[2], 0, 0, (scale - 1) / reach[5]], -1, 1)
+        h, w = shape = self.target.mask.shape
+        padded = (fft.next_fast_len(2 * h, real=True), fft.next_fast_len(2 * w, real=True))
+        cost, shown = np.full(padded, OUTSIDE), np.zeros(padded)
+        cost[:h, :w] = self.target.fields.mismatch
+        costs_of = fft.rfft2(cost)
+        rows, columns = (fft.fftfreq(n, 1 / n) for n in padded)
+        pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
+        is_far = (np.abs(pixels) >= shape[::-1]).any(-1)
+        shifts = pixels @ np.linalg.inv(self._pixels_per_shift()).T / reach[:2]
+        for _ in range(SEED_STEPS):
+            shown[:h, :w] = self.silhouette(u)
+            costs = fft.irfft2(costs_of * fft.rfft2(shown).conj(), s=padded)
+            costs[is_far | (np.abs(u[:2] + shifts) > 1).any(-1)] = np.inf
+            u[:2] += shifts.reshape(-1, 2)[costs.argmin()]
+        return u
+
+    def _pixels_per_shift(self) -> Array:
+        """(2, 2), how far a point at the anchor's depth moves in the picture per metre along ``basis``: weak
+        perspective."""
+        depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
+        return self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
 
     def refined(
         self, u: Array, *, iterations: int, free: Array = EQUATION_8, also: Callable[[Array], Local] | None = None

@@ -286,11 +286,13 @@ def _surfaces_seen(scene: Scene) -> Geometry | None:
 
 
 def _fitted(placed: _Placed, _: _Evidence, view: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
-    """Equations 8 and 9: the best of several seeds; again from there where shift or scale end at their bounds."""
+    """Equations 8 and 9: the best of several seeds; of all shifts where that misses its mask; again from there where
+    shift or scale end at their bounds."""
     found = _best_of_seeds(placed, config)
+    if config.anywhere and found.iou < config.orientations.enough:
+        found = _clearly_better(found, _by_overlap(placed, found, view, config), config)
     if config.anywhere:
-        far = _beyond_bounds(found, view, config)
-        found = far if 1 - far.iou <= config.orientations.share * (1 - found.iou) else found
+        found = _clearly_better(found, _beyond_bounds(found, view, config), config)
     kept, decision = keep_better(
         placed, found, score=_iou, step="object", measure="valid mask IoU",
         about=placed.base.id,
@@ -418,8 +420,26 @@ def _at_its_depth(
 
 def _best_of_seeds(placed: _Placed, config: AlignConfig) -> _Placed:
     search = config.search
-    found = placed.fit.best(search.yaw_seeds, kept=search.kept_seeds, iterations=search.iterations)
-    return placed.moved(found.x)
+    starts = [np.zeros(6), *map(placed.fit.seed, search.yaw_seeds)]
+    return placed.moved(placed.fit.best(starts, kept=search.kept_seeds, iterations=search.iterations).x)
+
+
+def _by_overlap(placed: _Placed, found: _Placed, view: ObjectEvidence, config: AlignConfig) -> _Placed:
+    """The best of seeds at whichever shift covers the mask best, in each yaw and scale; what was ``found`` where no
+    coarse silhouette is better than its."""
+    search, coarse = config.search, config.orientations
+    light = _object_fit(outlined(placed.base, coarse.max_faces), view, config, resolution=coarse.resolution)
+    light = replace(light, freedom=placed.fit.freedom)
+    starts = [light.seed_by_overlap(yaw, scale) for yaw in search.yaw_seeds for scale in search.overlap_scales]
+    best = light.best(starts, kept=search.kept_seeds, iterations=search.iterations).x
+    if light.value(best) >= light.value(found.u):
+        return found
+    return placed.moved(placed.fit.refined(best, iterations=search.iterations).x)
+
+
+def _clearly_better(found: _Placed, other: _Placed, config: AlignConfig) -> _Placed:
+    """The other one where it misses its mask by clearly less."""
+    return other if 1 - other.iou <= config.orientations.share * (1 - found.iou) else found
 
 
 def _beyond_bounds(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> _Placed:
