@@ -75,6 +75,14 @@ HAMMER = painted(
 )
 """Different from every side, and thin: a wrong start does not even touch its mask."""
 
+FENCE_GAP = 0.05
+FENCE = painted(
+    trimesh.util.concatenate([
+        trimesh.creation.box((4 * FENCE_GAP, 0.012, 0.012)).apply_translation((0, 0, 0.02)),
+        *(trimesh.creation.box((0.012, 0.012, 0.14)).apply_translation((k * FENCE_GAP, 0, 0)) for k in range(-2, 3)),
+    ]),
+)  # fmt: skip
+
 
 def thing(id: int, mesh: Mesh, at: tuple[float, float, float], *, yaw: float = 0.3) -> SceneObject:
     return SceneObject(
@@ -290,6 +298,17 @@ def test_what_came_far_from_its_mask_is_found(way: str) -> None:
     sought = [d for d in outcome.decisions if d.about == 0 and d.fallback]
     assert bool(sought) == is_told
     assert all("sought at its mask" in d.choice for d in sought)
+
+
+@pytest.mark.parametrize(("hidden_at", "width", "gaps"), [(0.1, 0.12, -1), (-0.06, 0.14, 1), (-0.06, 0.14, 0.8)])
+def test_a_fence_that_is_hidden_in_part_and_off_by_a_gap_is_found(hidden_at: float, width: float, gaps: float) -> None:
+    """Each shift by a gap is a local minimum, and the centroid of what shows is not the fence's."""
+    fence, board = thing(0, FENCE, (0, 0.1, 0.07), yaw=0.15), painted(trimesh.creation.box((width, 0.02, 0.2)))
+    scene = photographed(fence, thing(1, board, (hidden_at, -0.05, 0.1), yaw=0))
+    after, outcome = align(scene.with_objects(disturbed(scene[0], UP, 0.08, shift=gaps * FENCE_GAP)), OBJECTS_ONLY)
+    assert visible_ious(after)[0] > 0.93
+    assert np.linalg.norm(after[0].middle - fence.middle) < 0.02
+    assert not any(d.fallback for d in outcome.decisions)
 
 
 def test_objects_off_their_masks_say_nothing_of_the_camera() -> None:
