@@ -101,24 +101,23 @@ class ObjectFit:
 
         All shifts are compared at once: what a silhouette costs is its correlation with what each pixel costs. Of an
         object that others hide in part, centroid and area tell little: what is hidden changes with the shift."""
-        from scipy import fft
-
         reach = self.freedom.reach
         u = np.clip([0.0, 0, yaw / reach[2], 0, 0, (scale - 1) / reach[5]], -1, 1)
-        h, w = shape = self.target.mask.shape
-        padded = (fft.next_fast_len(2 * h, real=True), fft.next_fast_len(2 * w, real=True))
-        cost, shown = np.full(padded, OUTSIDE), np.zeros(padded)
+        h, w = self.target.mask.shape
+        padded = (2 * h, 2 * w)
+        cost, shown = np.full(padded, OUTSIDE, np.float32), np.zeros(padded, np.float32)
         cost[:h, :w] = self.target.fields.mismatch
-        costs_of = fft.rfft2(cost)
-        rows, columns = (fft.fftfreq(n, 1 / n) for n in padded)
-        pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
-        is_far = (np.abs(pixels) >= shape[::-1]).any(-1)
-        shifts = pixels @ np.linalg.inv(self._pixels_per_shift()).T / reach[:2]
+        costs_of = np.fft.rfft2(cost)
+        y, x = np.ix_(*(np.fft.fftfreq(n, 1 / n) for n in padded))
+        to_u = np.linalg.inv(self._pixels_per_shift()) / reach[:2, None]
+        shifts = [of_x * x + of_y * y for of_x, of_y in to_u]
+        is_far = (np.abs(y) >= h) | (np.abs(x) >= w)
         for _ in range(SEED_STEPS):
             shown[:h, :w] = self.silhouette(u)
-            costs = fft.irfft2(costs_of * fft.rfft2(shown).conj(), s=padded)
-            costs[is_far | (np.abs(u[:2] + shifts) > 1).any(-1)] = np.inf
-            u[:2] += shifts.reshape(-1, 2)[costs.argmin()]
+            costs = np.fft.irfft2(costs_of * np.fft.rfft2(shown).conj(), s=padded)
+            ends = [at + shift for at, shift in zip(u, shifts, strict=False)]
+            costs[is_far | (np.abs(ends[0]) > 1) | (np.abs(ends[1]) > 1)] = np.inf
+            u[:2] = [end.flat[costs.argmin()] for end in ends]
         return u
 
     def _pixels_per_shift(self) -> Array:
