@@ -66,7 +66,7 @@ def test_where_part_of_the_mask_is_hidden_the_overlap_finds_the_shift(hidden: tu
     fit = fit_to(u, hidden=hidden)
     visible = fit.target.mask & fit.target.valid
     assert 0.3 < np.count_nonzero(visible) / np.count_nonzero(fit.target.mask) < 1
-    found = fit.seed_by_overlap(0.0, 1.1)
+    (found,) = fit.seeds_by_overlap([0.0], [1.1])
     assert REACH * found == pytest.approx(REACH * u, abs=0.004)
     assert fit.iou(found) > 0.95
 
@@ -77,15 +77,16 @@ def test_no_shift_by_whole_pixels_costs_less_than_that_of_the_overlap() -> None:
     padded = np.pad(cost, max(cost.shape), constant_values=1.0)
     windows = np.lib.stride_tricks.sliding_window_view(padded, cost.shape)
     least = min(float((w * shown).sum()) for row in windows[::4] for w in row[::4])
-    u = fit.seed_by_overlap(0.1 * REACH[2], 1 - 0.2 * REACH[5])
+    (u,) = fit.seeds_by_overlap([0.1 * REACH[2]], [1 - 0.2 * REACH[5]])
     assert float((cost * fit.silhouette(u)).sum()) <= least + 0.02 * np.count_nonzero(shown)
 
 
 def test_the_overlap_keeps_within_bounds() -> None:
     fit = fit_to(np.array([1.0, 1.0, 0, 0, 0, 1.0]))
     near = replace(fit, freedom=replace(fit.freedom, reach=np.array([0.1, 0.1, 1.0, 0, 0, 0.1])))
-    assert np.abs(near.seed_by_overlap(2.0, 3.0)).max() <= 1.0
-    assert near.seed_by_overlap(0.3, 1.0)[2] == pytest.approx(0.3)
+    seeds = near.seeds_by_overlap([2.0, 0.3], [3.0, 1.0])
+    assert np.abs(seeds).max() <= 1.0
+    assert [u[2] for u in seeds] == pytest.approx([1.0, 1.0, 0.3, 0.3])
 
 
 def test_distances_to_the_mask_are_found_for_a_search_only_and_once(monkeypatch: pytest.MonkeyPatch) -> None:

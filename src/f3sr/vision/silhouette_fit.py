@@ -23,7 +23,7 @@ EVERYTHING = np.ones(6)
 SMALLEST_AREA = 16
 """Pixels of a silhouette below which its centre and area say nothing."""
 SEED_STEPS = 2
-"""Closed-form corrections of a seed: the second finds what perspective made of the first."""
+"""Corrections of a seed: the second finds what perspective made of the first."""
 OUTSIDE = 1.0
 """What a pixel of a silhouette beyond the window costs: there is no mask."""
 
@@ -96,13 +96,12 @@ class ObjectFit:
             u = np.clip(u, -1, 1)
         return u
 
-    def seed_by_overlap(self, yaw: float, scale: float) -> Array:
-        """A start (6,) with a yaw [rad] and a scale, at the shift within bounds where the silhouette costs least.
+    def seeds_by_overlap(self, yaws: Sequence[float], scales: Sequence[float]) -> list[Array]:
+        """Starts (6,), one for each yaw [rad] and scale, at the shift within bounds where the silhouette costs least.
 
         All shifts are compared at once: what a silhouette costs is its correlation with what each pixel costs. Of an
         object that others hide in part, centroid and area tell little: what is hidden changes with the shift."""
         reach = self.freedom.reach
-        u = np.clip([0.0, 0, yaw / reach[2], 0, 0, (scale - 1) / reach[5]], -1, 1)
         h, w = self.target.mask.shape
         padded = (2 * h, 2 * w)
         cost, shown = np.full(padded, OUTSIDE, np.float32), np.zeros(padded, np.float32)
@@ -112,13 +111,20 @@ class ObjectFit:
         to_u = np.linalg.inv(self._pixels_per_shift()) / reach[:2, None]
         shifts = [of_x * x + of_y * y for of_x, of_y in to_u]
         is_far = (np.abs(y) >= h) | (np.abs(x) >= w)
-        for _ in range(SEED_STEPS):
+
+        def shifted(u: Array) -> Array:
             shown[:h, :w] = self.silhouette(u)
             costs = np.fft.irfft2(costs_of * np.fft.rfft2(shown).conj(), s=padded)
-            ends = [at + shift for at, shift in zip(u, shifts, strict=False)]
+            ends = [at + shift for at, shift in zip(u[:2], shifts, strict=True)]
             costs[is_far | (np.abs(ends[0]) > 1) | (np.abs(ends[1]) > 1)] = np.inf
-            u[:2] = [end.flat[costs.argmin()] for end in ends]
-        return u
+            least = costs.argmin()
+            return np.array([*(end.flat[least] for end in ends), *u[2:]])
+
+        starts = ([0.0, 0, yaw / reach[2], 0, 0, (scale - 1) / reach[5]] for yaw in yaws for scale in scales)
+        seeds = [np.clip(start, -1, 1) for start in starts]
+        for _ in range(SEED_STEPS):
+            seeds = list(map(shifted, seeds))
+        return seeds
 
     def _pixels_per_shift(self) -> Array:
         """(2, 2), how far a point at the anchor's depth moves in the picture per metre along ``basis``: weak

@@ -34,8 +34,7 @@ class SearchConfig:
     yaw_seeds: tuple[float, ...] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
     """Turns about the vertical at which a search starts [rad]."""
     overlap_scales: tuple[float, ...] = (0.8, 0.9, 1.0, 1.1, 1.2)
-    """Scales at which all shifts of what misses its mask are compared: within the bound, a step is what the search
-    corrects."""
+    """Scales at which all shifts of what misses its mask are compared; the refinement corrects half a step."""
     kept_seeds: int = 2
     """Number of seeds that are refined, the best first."""
     iterations: int = 12

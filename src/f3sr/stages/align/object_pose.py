@@ -289,9 +289,9 @@ def _fitted(placed: _Placed, _: _Evidence, view: ObjectEvidence, config: AlignCo
     """Equations 8 and 9: the best of several seeds; of all shifts where that misses its mask; again from there where
     shift or scale end at their bounds."""
     found = _best_of_seeds(placed, config)
-    if config.anywhere and found.iou < config.orientations.enough:
-        found = _clearly_better(found, _by_overlap(placed, found, view, config), config)
     if config.anywhere:
+        if found.iou < config.orientations.enough:
+            found = _clearly_better(found, _by_overlap(placed, found, view, config), config)
         found = _clearly_better(found, _beyond_bounds(found, view, config), config)
     kept, decision = keep_better(
         placed, found, score=_iou, step="object", measure="valid mask IoU",
@@ -430,7 +430,7 @@ def _by_overlap(placed: _Placed, found: _Placed, view: ObjectEvidence, config: A
     search, coarse = config.search, config.orientations
     light = _object_fit(outlined(placed.base, coarse.max_faces), view, config, resolution=coarse.resolution)
     light = replace(light, freedom=placed.fit.freedom)
-    starts = [light.seed_by_overlap(yaw, scale) for yaw in search.yaw_seeds for scale in search.overlap_scales]
+    starts = light.seeds_by_overlap(search.yaw_seeds, search.overlap_scales)
     best = light.best(starts, kept=search.kept_seeds, iterations=search.iterations).x
     if light.value(best) >= light.value(found.u):
         return found
