@@ -4,13 +4,17 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
-.PHONY: demo test test-models durations check bench bench-agents certify docs clean
+.PHONY: demo test test-slow test-models durations check bench bench-agents certify docs clean
 
 demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+# What takes seconds each: whole commands, kills, memory, every example of the documents.
+test-slow: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 # Networks with random weights: torch is large, and only these tests need it. This version is the build for CPUs.
 test-models: $(VENV)/.models

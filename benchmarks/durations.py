@@ -16,8 +16,10 @@ SLOWEST = 30
 """Tests that the page lists."""
 FILES = 15
 """Test files that the page lists."""
-PROCESSOR = "processor_s"
-"""Property of a test in the JUnit file: the processor time that ``tests/conftest.py`` measured."""
+PROCESSOR, SLOW = "processor_s", "slow"
+"""Properties of a test in the JUnit file, by ``tests/processor_time.py``: its processor time; its mark."""
+LIMIT = 2.0
+"""Processor time from which on a test is to be marked slow [s]."""
 HEAD = """# How long the tests take
 
 Processor time of tests and of the processes that they started, with setup and teardown. `make durations` measures it
@@ -31,14 +33,17 @@ def page(report: Path) -> str:
     """Markdown of a run's total, its slowest files and its slowest tests; times in seconds."""
     suite = ElementTree.parse(report).getroot().find("testsuite")
     assert suite is not None
-    seconds = {(str(c.get("classname")), str(c.get("name"))): _processor_time(c) for c in suite.iter("testcase")}
+    cases = {(str(c.get("classname")), str(c.get("name"))): c for c in suite.iter("testcase")}
+    seconds = {key: float(_property(c, PROCESSOR)) for key, c in cases.items()}
+    marked = {key for key, c in cases.items() if _property(c, SLOW) != "0"}
     files = defaultdict[str, float](float)
     for (module, _), value in seconds.items():
         files[f"`{module.replace('.', '/')}.py`"] += value
     minutes = float(suite.get("time", 0)) / 60
-    total = f"{len(seconds)} tests in {minutes:.1f} minutes, {sum(seconds.values()):.0f} s of processor time.\n\n"
+    total = f"{len(seconds)} tests in {minutes:.1f} minutes, {sum(seconds.values()):.0f} s of processor time.\n"
+    total += f"Of these {len(marked)} with {sum(seconds[key] for key in marked):.0f} s are slow: `make test-slow`.\n\n"
     slowest = sorted(seconds, key=lambda key: -seconds[key])[:SLOWEST]
-    tests = ((f"`{module.rpartition('.')[2]}::{name}`", seconds[module, name]) for module, name in slowest)
+    tests = ((_told(key, seconds[key], is_marked=key in marked), seconds[key]) for key in slowest)
     return (
         HEAD
         + total
@@ -48,10 +53,14 @@ def page(report: Path) -> str:
     )
 
 
-def _processor_time(case: Element) -> float:
-    """Of a test [s]."""
-    found = (p.get("value") for p in case.iter("property") if p.get("name") == PROCESSOR)
-    return float(next(found, None) or 0)
+def _property(case: Element, name: str) -> str:
+    """Of a test; "0" where it is not known."""
+    return next((p.get("value") or "0" for p in case.iter("property") if p.get("name") == name), "0")
+
+
+def _told(key: tuple[str, str], seconds: float, *, is_marked: bool) -> str:
+    module, name = key
+    return f"`{module.rpartition('.')[2]}::{name}`" + (", to be marked" if seconds >= LIMIT and not is_marked else "")
 
 
 def table(title: str, rows: Iterable[tuple[str, float]]) -> str:

@@ -38,7 +38,7 @@ from processor_time import pytest_runtest_setup, pytest_runtest_teardown  # noqa
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests begin first: at the end of a run, one process would wait for the other's.
+    """Slow tests begin first, where they run at all: at the end of a run, one process would wait for the other's.
 
     Tests of networks stay together: one process imports PyTorch."""
     first = ("slow", "models")

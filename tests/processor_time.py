@@ -1,4 +1,5 @@
-"""Hooks of pytest that note the processor time of every test in the JUnit file: wall time is of the machine."""
+"""Hooks of pytest that note in the JUnit file the processor time of every test, as wall time is of the machine, and
+which tests are slow."""
 
 from __future__ import annotations
 
@@ -7,8 +8,8 @@ from collections.abc import Generator
 
 import pytest
 
-NAME = "processor_s"
-"""Of the property; ``benchmarks/durations.py`` reads it."""
+NAME, SLOW = "processor_s", "slow"
+"""Of the properties; ``benchmarks/durations.py`` reads them."""
 _BEGAN = pytest.StashKey[float]()
 
 
@@ -29,3 +30,5 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     finally:
         item.user_properties.append((NAME, f"{processor_time() - item.stash[_BEGAN]:.3f}"))
+        if item.get_closest_marker("slow"):
+            item.user_properties.append((SLOW, "yes"))

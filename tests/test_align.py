@@ -415,6 +415,7 @@ def bowls(count: int, apart: float) -> Scene:
     return photographed(*(thing(k, bowl, (0, 0, 0.001 + apart * k)) for k in range(count)))
 
 
+@pytest.mark.slow
 def test_a_bowl_that_leans_is_stood_upright_though_another_one_hides_most_of_it() -> None:
     scene = bowls(2, 0.02)
     found = aligned(scene, disturbed(scene[0], SIDEWAYS, 0.65))

@@ -140,6 +140,7 @@ SECOND_RENAME = {"package": (("rename",), 2), "rollout": (("rename",), 2), "film
 # --- kill -9 ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_kill_before_any_step_leaves_the_old_or_the_new_after_the_next_command(
     kind: str, played: Played, tmp_path: Path

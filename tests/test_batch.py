@@ -233,6 +233,7 @@ def test_a_worker_that_is_killed_is_no_fault_of_its_job(tmp_path: Path) -> None:
         worker.close()
 
 
+@pytest.mark.slow
 def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -> None:
     """``kill -9`` at several points: nothing is half written, no process stays, and in the end all bytes are there.
 

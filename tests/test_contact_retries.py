@@ -199,6 +199,7 @@ def pushed_by(
     monkeypatch.setattr(ContactRetries, "_at_rest", at_rest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [(0, 0.05, 0), (0, 0, -0.015)], ids=["far", "off its mask"])
 def test_what_falls_although_forces_balance_is_held(
     planks: Scene, retries: ContactRetries, monkeypatch: pytest.MonkeyPatch, way: tuple[float, float, float]

@@ -90,6 +90,7 @@ def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: P
     assert time.monotonic() - began < 1 and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @IN_PROC
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: Path, tmp_path: Path):
@@ -267,6 +268,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
 # --- the same bytes -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tmp_path: Path, folder: Path):
     found: list[dict[str, str]] = []
     for k, threads in enumerate("12"):
@@ -284,6 +286,7 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
 # --- caches -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
     files = sorted(cache.glob("kernels-*/f3sr.vision.*.kernel"), key=lambda file: file.stat().st_size)
     files[0].write_bytes(files[0].read_bytes()[:1000])

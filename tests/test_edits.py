@@ -387,6 +387,7 @@ def written(folder: Path) -> dict[str, bytes]:
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
+@pytest.mark.slow
 def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
     session, states = EditSession(package), list[dict[str, bytes]]()
     for given in SEVERAL:
@@ -556,6 +557,7 @@ def test_the_command_edits_a_package_and_goes_on(package: Package, tmp_path: Pat
     assert [o.id for o in read_package(out).scene] == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_run_with_edits_keeps_them_and_one_without_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

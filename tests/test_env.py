@@ -145,6 +145,7 @@ def test_what_is_to_be_dropped_has_to_be_lifted_first(package: Package, goal: st
     assert ended and reward == 1, [j.said for j in env.judged()]
 
 
+@pytest.mark.slow
 def test_a_scripted_grasp_lifts_and_holds_what_fits(package: Package) -> None:
     config = GripperConfig()
     env = env_of(package, control="pose", seconds=30)

@@ -217,6 +217,7 @@ def test_what_the_masks_do_not_decide_is_asked_for(tmp_path: Path):
     require_true(read_inputs(tmp_path / "in", asset_frame=SAM3D.name))
 
 
+@pytest.mark.slow
 def test_a_pose_that_the_masks_do_not_decide_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     # The second reading takes the search of the first: it takes seconds, and gives the same.
     monkeypatch.setattr(given_frames, "poses_by_masks", cache_first(given_frames.poses_by_masks))

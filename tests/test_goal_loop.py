@@ -125,6 +125,7 @@ def way(found: Played, id: int, scene: Scene) -> Array:
     return T[:, :3, :3] @ body_of(scene[id]).center + T[:, :3, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("goal", "kind"), MET.items())
 def test_every_kind_is_met(package: Package, goal: str, kind: str) -> None:
     found = played(package, goal)
@@ -413,6 +414,7 @@ def test_without_a_direction_things_stay_on_the_support_that_the_photo_shows(pac
     assert layout.on_support(LID, 5 * over), "what stands on an object is not on the support"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "possible"), [(55, True), (90, False)])
 def test_what_is_too_heavy_to_push_is_refused_and_all_else_is_played(
     tmp_path: Path, mass: float, possible: bool

@@ -448,6 +448,7 @@ def inflicted() -> Iterator[Any]:
                 yield pytest.param(name, fault, id=f"{name}-{fault.name}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fault"), list(inflicted()))
 def test_a_fault_ends_in_meshes_or_in_one_line(name: str, fault: Fault, bench: Bench) -> None:
     wire = WIRES[name]

@@ -133,6 +133,7 @@ def test_a_job_that_fails_says_why_in_one_line_and_changes_nothing(place: Path, 
         assert ended(asked(queue, project, "step 0"))["state"] == "done"
 
 
+@pytest.mark.slow
 def test_a_job_ends_at_its_time_also_where_no_server_watches(place: Path):
     with opened(place, wall_s=1) as (queue, project):
         told = ended(asked(queue, project, "write some 60"))
@@ -199,6 +200,7 @@ POINTS: dict[str, Callable[[JobFolder], bool]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", POINTS)
 def test_a_job_is_done_once_wherever_its_server_is_killed(place: Path, point: str):
     command = [

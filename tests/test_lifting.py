@@ -413,6 +413,7 @@ def lifted(tmp_path_factory: pytest.TempPathFactory):
     return read_inputs(folder, ignore=("assets", "geometry"))
 
 
+@pytest.mark.slow
 def test_a_photo_and_masks_are_enough_and_the_report_says_so(lifted):
     told = [d for d in lifted.decisions if d.fallback]
     assert any("geometry" in d.choice for d in told) and any("assets" in d.choice for d in told)
@@ -438,6 +439,7 @@ def test_things_each_of_which_seems_below_the_other_are_lifted(monkeypatch: pyte
     assert LiftedAssets().generate(image, geometry, camera.K).keys() == {0, 1}
 
 
+@pytest.mark.slow
 def test_what_something_without_a_mask_hides_is_lifted_whole_where_a_geometry_shows_that():
     """A box behind a board that nobody outlined."""
     scene = photographed(

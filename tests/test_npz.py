@@ -43,6 +43,7 @@ def test_what_numpy_writes_comes_back(save, tmp_path: Path) -> None:
         assert found[name].flags.f_contiguous == array.flags.f_contiguous and found[name].flags.writeable
 
 
+@pytest.mark.slow
 def test_seventy_thousand_arrays_come_back(tmp_path: Path) -> None:
     """More than a zip's first directory counts: scenes of hundreds of objects have as many in the cache."""
     np.save(tmp_path / "0.npy", np.array(0))

@@ -259,6 +259,7 @@ def test_a_crate_is_five_boxes_with_an_exact_floor(cache):
         assert lowest_of_a_dropped_ball(proxy, 0.1, at, 1.0) == pytest.approx(0.05, abs=0.005 * mesh.diagonal)
 
 
+@pytest.mark.slow
 def test_a_mug_holds_a_ball_on_its_visual_floor(cup):
     mesh = mug()
     assert cup.method == "cuts" and not cup.decisions

@@ -90,6 +90,7 @@ def read(folder: Path) -> dict[str, NDArray[Any]]:
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
+@pytest.mark.slow
 def test_values_come_back_in_single_precision(recorded: Recorded) -> None:
     found = read(recorded.folder)
     columns = (found["observation.state"], found["observation.environment_state"], found["action"])

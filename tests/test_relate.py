@@ -180,6 +180,7 @@ def test_a_flat_thing_behind_another_is_not_on_it():
     assert scene[1].supported_by == GROUND and (0, 1) in scene.graph.of("in_front_of")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["contain", "pile", "stack", "scatter", "bridge"])
 def test_supports_of_scenes_at_rest_as_they_are_and_with_the_noise_of_generated_poses(family: str):
     exact = disturbed = true = found = hit = 0

