@@ -49,7 +49,7 @@ class OrientationConfig:
     detailed: int = 3
     """Of these, the most that are refined by the photo's detail too."""
     slack: float = 0.02
-    """How much more of mask and depth than before these may miss."""
+    """How much more of mask and depth than before these may miss, unless the photo's detail makes up for it."""
     max_faces: int = 1_000
     """Most faces of a mesh in the search."""
     resolution: int = 128

@@ -48,6 +48,9 @@ From here on it is sought as if any other object might hide it. Where that helpe
 MOST_BEFORE = 0.1
 """Share of an object that is before another one in the photo, from which on that does not hide it: nested bowls have up
 to .07."""
+TURNED = 0.06
+"""Spread of an object's depths about the geometry's [size] above which it is turned wrongly. Of 490 objects that fit
+their masks in 52 scenes a hundredth has .053, by errors of mesh and geometry."""
 SHIFTS_AND_SCALE = [0, 1, 5]
 """Parameters of an object's freedom that may go on beyond their bounds."""
 BLIND_TURN = np.radians(16)
@@ -340,22 +343,20 @@ def _turned(
 def _reoriented(
     came: SceneObject, placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
-    """What misses its mask, in the orientation of all that fits far better: sought from where it ``came``, and by turns
-    about the vertical from where it was ``placed``."""
-    search = config.orientations
-    if placed.iou >= search.enough:
+    """What misses its mask, or whose depths are not the geometry's, in the orientation of all that fits far better:
+    sought from where it ``came``, and by turns about the vertical from where it was ``placed``."""
+    search, was = config.orientations, _scores(placed, evidence, view, config)
+    if placed.iou >= search.enough and not _is_turned(placed.object, was, view.scene):
         return placed, []
-    was = _scores(placed, evidence, view, config)
     light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
     turned = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
     here = placed.object
     light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
     turned += [_turned_from(here, f, view, config) for f in best_in_place(here, light, search, tilt=config.facets.most)]
     starts = [(start, _scores(start, evidence, view, config)) for start in turned]
+    near = [(s, first) for s, first in starts if first.shape <= was.shape + search.slack or first.miss <= was.miss]
     best, now = placed, was
-    for start, first in sorted(starts, key=lambda s: s[1].shape)[: search.detailed]:
-        if first.shape > was.shape + search.slack:
-            break
+    for start, _ in sorted(near, key=lambda s: s[1].shape)[: search.detailed]:
         also = _mismatch(start, evidence, view, config)
         found = start.fit.refined(start.u, iterations=config.search.iterations, free=_free(config), also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
@@ -413,6 +414,13 @@ def _at_its_depth(
     bound = ", the bound" if abs(k - 1) >= GEOMETRY_REACH - 1e-9 else ""
     told = f"distance times {k:.3f}{bound}; depths {100 * was.size:.2f} -> {100 * now.size:.2f} % off"
     return kept[0], [replace(decision, reason=told)]
+
+
+def _is_turned(o: SceneObject, scores: _Scores, scene: Scene) -> bool:
+    """Whether depths tell that an object shows another side than the photo does: by more than they err, or meshes. One
+    that is before what hides it is elsewhere."""
+    distance = float(np.linalg.norm(o.middle - scene.camera.center))
+    return max(scores.noise, TURNED * o.size / distance) < scores.spread < np.inf and scores.before <= MOST_BEFORE
 
 
 # --- parts of phases --------------------------------------------------------------------------------------------------
