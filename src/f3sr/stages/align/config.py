@@ -67,7 +67,7 @@ class AppearanceConfig:
     weight: float = 0.1
     """Weight of 1 - correlation in the objective, in which the mask's whole area weighs 1."""
     search: float = math.radians(40)
-    """Largest turn to either side that is tried [rad]."""
+    """Largest turn to either side that is tried first [rad]."""
     step: float = math.radians(8)
     """Step between turns that are tried [rad]; it moves detail by a few pixels, which the final search corrects."""
     known: float = 0.7
@@ -76,8 +76,23 @@ class AppearanceConfig:
     """Largest loss of IoU by a turn about an own axis to which the silhouette counts as blind."""
     gain: float = 0.03
     """Least gain of correlation for a turn to be tried."""
+    far_gain: float = 0.1
+    """The same for a turn beyond ``search``."""
     loss: float = 0.005
     """Largest loss of IoU for a better correlation."""
+
+    @property
+    def near(self) -> list[float]:
+        """Turns up to ``search`` [rad], 0 left out."""
+        count = max(1, round(self.search / self.step))
+        return [k * self.step for k in range(-count, count + 1) if k]
+
+    @property
+    def far(self) -> list[float]:
+        """All turns beyond those, up to half a turn to either side [rad]."""
+        first = self.near[-1] + self.step
+        count = math.ceil(2 * (math.pi - first) / self.step)
+        return np.linspace(first, 2 * math.pi - first, count + 1).tolist()
 
 
 @constants

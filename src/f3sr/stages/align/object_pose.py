@@ -5,7 +5,7 @@ Every phase ends with a guard and leaves the object as it was where it did not g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -309,7 +309,8 @@ def _polished(
     """All degrees of freedom together, silhouette and appearance, also from the turn that the photo's detail tells."""
     was = _scores(placed, evidence, view, config)
     best, now = placed, was
-    for start in (placed, *_turned(placed, was.correlation, evidence, view, config)):
+    settings = config.appearance
+    for start in (placed, *_turned(placed, was.correlation, settings.near, settings.gain, evidence, view, config)):
         also = _mismatch(start, evidence, view, config)
         found = start.fit.refined(start.u, iterations=config.search.iterations, free=_free(config), also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
@@ -323,36 +324,47 @@ def _polished(
 
 
 def _turned(
-    placed: _Placed, correlation: float, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+    placed: _Placed,
+    correlation: float,
+    turns: Sequence[float],
+    gain: float,
+    evidence: _Evidence,
+    view: ObjectEvidence,
+    config: AlignConfig,
 ) -> list[_Placed]:
-    """The object turned about the vertical, or an axis its silhouette is blind to, to where the photo's detail fits
-    far better; none where no turn does."""
-    appearance, settings = evidence.appearance, config.appearance
-    if appearance is None or correlation >= settings.known:
+    """The object turned [rad] about the vertical, or an axis its silhouette is blind to, to where the photo's detail
+    fits better by a ``gain``; none where no turn does."""
+    appearance = evidence.appearance
+    if appearance is None or correlation >= config.appearance.known:
         return []
-    o, count = placed.object, max(1, round(settings.search / settings.step))
+    o = placed.object
     for axis in (UP, *_blind_axes(placed, view, config)):
-        turns = [_about_middle(o, rotation_about(axis, k * settings.step)) for k in range(-count, count + 1) if k]
-        scores = [appearance.correlation(_textured(_turned_by(o, T), view)) for T in turns]
+        tried = [_about_middle(o, rotation_about(axis, turn)) for turn in turns]
+        scores = [appearance.correlation(_textured(_turned_by(o, T), view)) for T in tried]
         best = int(np.argmax(scores))
-        if scores[best] >= correlation + settings.gain:
-            return [_after(placed, turns[best], view, config)]
+        if scores[best] >= correlation + gain:
+            return [_after(placed, tried[best], view, config)]
     return []
 
 
 def _reoriented(
     came: SceneObject, placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
-    """What misses its mask, or whose depths are not the geometry's, in the orientation of all that fits far better:
-    sought from where it ``came``, and by turns about the vertical from where it was ``placed``."""
-    search, was = config.orientations, _scores(placed, evidence, view, config)
-    if placed.iou >= search.enough and not _is_turned(placed.object, was, view.scene):
-        return placed, []
-    light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
-    turned = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+    """What misses its mask, the geometry's depths or the photo's detail, in whichever orientation fits far better.
+
+    It is sought from where it ``came``, and by turns from where it was ``placed``."""
+    search, detail, was = config.orientations, config.appearance, _scores(placed, evidence, view, config)
+    others = _turned(placed, was.correlation, detail.far, detail.far_gain, evidence, view, config)
+    turned = [p.moved(p.fit.refined(p.u, iterations=search.iterations, free=_free(config)).x) for p in others]
     here = placed.object
-    light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
-    turned += [_turned_from(here, f, view, config) for f in best_in_place(here, light, search, tilt=config.facets.most)]
+    if placed.iou < search.enough or _is_turned(here, was, view.scene):
+        light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
+        turned += [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+        light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
+        in_place = best_in_place(here, light, search, tilt=config.facets.most)
+        turned += [_turned_from(here, f, view, config) for f in in_place]
+    if not turned:
+        return placed, []
     starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     near = [(s, first) for s, first in starts if first.shape <= was.shape + search.slack or first.miss <= was.miss]
     best, now = placed, was
