@@ -72,6 +72,11 @@ class AppearanceConfig:
     """Step between turns that are tried [rad]; it moves detail by a few pixels, which the final search corrects."""
     known: float = 0.7
     """Correlation from which no other turn is tried."""
+    doubted: float = 0.3
+    """Correlation below which any orientation is tried."""
+    share: float = 0.75
+    """Of what an object misses, the most that it may still miss in another orientation that detail alone asks for. What
+    came turned by half a turn ends at .3 to .6, a lemon turned wrongly at .88."""
     blind: float = 0.02
     """Largest loss of IoU by a turn about an own axis to which the silhouette counts as blind."""
     gain: float = 0.03

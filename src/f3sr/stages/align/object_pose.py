@@ -353,28 +353,21 @@ def _reoriented(
     """What misses its mask, the geometry's depths or the photo's detail, in whichever orientation fits far better.
 
     It is sought from where it ``came``, and by turns from where it was ``placed``."""
-    search, detail, was = config.orientations, config.appearance, _scores(placed, evidence, view, config)
-    others = _turned(placed, was.correlation, detail.far, detail.far_gain, evidence, view, config)
-    turned = [p.moved(p.fit.refined(p.u, iterations=search.iterations, free=_free(config)).x) for p in others]
-    here = placed.object
-    if placed.iou < search.enough or _is_turned(here, was, view.scene):
-        light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
-        turned += [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
-        light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
-        in_place = best_in_place(here, light, search, tilt=config.facets.most)
-        turned += [_turned_from(here, f, view, config) for f in in_place]
+    search, was = config.orientations, _scores(placed, evidence, view, config)
+    misses = placed.iou < search.enough or _is_turned(placed.object, was, view.scene)
+    turned = _other_orientations(came, placed, was, evidence, view, config, anyhow=misses)
     if not turned:
         return placed, []
     starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     near = [(s, first) for s, first in starts if first.shape <= was.shape + search.slack or first.miss <= was.miss]
     best, now = placed, was
-    for start, _ in sorted(near, key=lambda s: s[1].shape)[: search.detailed]:
+    for start, _ in sorted(near, key=lambda s: s[1].miss)[: search.detailed]:
         also = _mismatch(start, evidence, view, config)
         found = start.fit.refined(start.u, iterations=config.search.iterations, free=_free(config), also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
         if scores.miss < now.miss:
             best, now = start.moved(found.x), scores
-    is_kept = now.miss <= search.share * was.miss
+    is_kept = now.miss <= (search.share if misses else config.appearance.share) * was.miss
     decision = Decision(
         choice=f"another orientation: {'accepted' if is_kept else 'none fits better'}", reason=was.told(now),
         about=came.id,
@@ -384,6 +377,50 @@ def _reoriented(
     best, fitted = _fitted(_started(best.object, view, config), evidence, view, config)
     best, polished = _polished(best, evidence, view, config)
     return best, [decision, *fitted, *polished]
+
+
+def _other_orientations(
+    came: SceneObject,
+    placed: _Placed,
+    was: _Scores,
+    evidence: _Evidence,
+    view: ObjectEvidence,
+    config: AlignConfig,
+    *,
+    anyhow: bool,
+) -> list[_Placed]:
+    """How else an object may be meant: turned by far, where the photo's detail says so; in any orientation, where
+    detail is unlike the photo's, or ``anyhow``."""
+    search, detail, here = config.orientations, config.appearance, placed.object
+    turned = _fitting_in_detail(placed, was, detail.far, evidence, view, config)
+    unlike = was.has_detail and was.correlation < detail.doubted
+    if not (unlike or anyhow):
+        return turned
+    light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
+    sides = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+    light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
+    in_place = best_in_place(here, light, search, tilt=config.facets.most)
+    turned += [*sides, *(_turned_from(here, f, view, config) for f in in_place)]
+    if unlike:
+        for side in sides:
+            first = _scores(side, evidence, view, config)
+            if first.shape <= was.shape + search.slack:
+                turned += _fitting_in_detail(side, first, [*detail.near, *detail.far], evidence, view, config)
+    return turned
+
+
+def _fitting_in_detail(
+    placed: _Placed,
+    was: _Scores,
+    turns: Sequence[float],
+    evidence: _Evidence,
+    view: ObjectEvidence,
+    config: AlignConfig,
+) -> list[_Placed]:
+    """The object at whichever of some turns [rad] fits the photo's detail far better, then on its mask again."""
+    found = _turned(placed, was.correlation, turns, config.appearance.far_gain, evidence, view, config)
+    steps, free = config.orientations.iterations, _free(config)
+    return [p.moved(p.fit.refined(p.u, iterations=steps, free=free).x) for p in found]
 
 
 def _standing(
