@@ -456,6 +456,36 @@ def test_a_chair_whose_legs_miss_their_mask_is_turned_where_it_stands() -> None:
     assert turn_between(aligned(scene, disturbed(turned, SIDEWAYS, -0.032), blind), scene[0]) < 2
 
 
+def test_a_chair_that_fits_its_mask_is_turned_where_its_depths_contradict_the_geometry() -> None:
+    """Boards hide its left and its top: turned by 100 degrees what shows of it looks the same."""
+    parts = [((0.2, 0.2, 0.02), (0, 0, 0)), ((0.2, 0.02, 0.22), (0, 0.09, 0.11))]
+    parts += [((0.02, 0.02, 0.2), (x, y, -0.1)) for x in (-0.09, 0.09) for y in (-0.09, 0.09)]
+    solids = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
+    board, post = (painted(trimesh.creation.box(size), rounds=1) for size in ((0.6, 0.02, 0.1), (0.21, 0.02, 0.3)))
+    scene = photographed(
+        thing(0, painted(trimesh.util.concatenate(solids), rounds=2), (0, 0.25, 0.2), yaw=0.4),
+        thing(1, board, (0, 0, 0.244), yaw=0), thing(2, post, (0, -0.06, 0.1), yaw=0),
+    )  # fmt: skip
+    assert turn_between(aligned(scene, disturbed(scene[0], UP, -1.8, shift=-0.05)), scene[0]) < 15
+
+
+@pytest.mark.parametrize(("mesh", "height"), [(CAN, 0.07), (BOX, 0.06)], ids=["can", "box"])
+@pytest.mark.parametrize(("axis", "angle"), [(UP, np.pi), (UP, 1.9), (SIDEWAYS, np.pi)], ids=str)
+def test_detail_tells_sides_that_look_alike(mesh: Mesh, height: float, axis: Array, angle: float) -> None:
+    scene = photographed(thing(0, mesh, (0.05, 0, height)))
+    came = disturbed(scene[0], axis, angle, shift=0.01, scale=1.05)
+    assert turn_between(came, scene[0]) > 100
+    assert turn_between(aligned(scene, came), scene[0]) < 3
+
+
+def test_detail_that_is_no_worse_turns_nothing() -> None:
+    """The photo shows another print than the mesh has: no side is like it."""
+    scene = photographed(thing(0, CAN, (0.05, 0, 0.07)))
+    other = replace(CAN, vertex_colors=np.random.default_rng(0).integers(0, 255, CAN.vertex_colors.shape, np.uint8))
+    came = replace(disturbed(scene[0], UP, 0.05), mesh=other)
+    assert turn_between(aligned(scene, came), scene[0]) < 45
+
+
 def test_no_object_gets_a_worse_silhouette() -> None:
     scene = three_things()
     _, outcome = align(scene)
