@@ -74,9 +74,9 @@ class AppearanceConfig:
     """Correlation from which no other turn is tried."""
     doubted: float = 0.3
     """Correlation below which any orientation is tried."""
-    share: float = 0.75
-    """Of what an object misses, the most that it may still miss in another orientation that detail alone asks for. What
-    came turned by half a turn ends at .3 to .6, a lemon turned wrongly at .88."""
+    share: float = 0.6
+    """Of what an object misses, the most that it may still miss in another orientation that detail alone asks for. Most
+    poses come right. Of 22 that came turned by half a turn and fitted their masks, 21 end below .6."""
     blind: float = 0.02
     """Largest loss of IoU by a turn about an own axis to which the silhouette counts as blind."""
     gain: float = 0.03

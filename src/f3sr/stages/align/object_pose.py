@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import UP, Array, rotation_about, turn_about
+from f3sr.core.transforms import UP, Array, rotation_about, rotation_angle, turn_about
 from f3sr.mesh_poses.mask_start import at_its_mask
 from f3sr.mesh_poses.orientations import Orientation, best_in_place, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
@@ -390,7 +390,7 @@ def _other_orientations(
     anyhow: bool,
 ) -> list[_Placed]:
     """How else an object may be meant: turned by far, where the photo's detail says so; in any orientation, where
-    detail is unlike the photo's, or ``anyhow``."""
+    detail is unlike the photo's, or ``anyhow``. What detail alone asks for is no small turn: those were tried."""
     search, detail, here = config.orientations, config.appearance, placed.object
     turned = _fitting_in_detail(placed, was, detail.far, evidence, view, config)
     unlike = was.has_detail and was.correlation < detail.doubted
@@ -406,7 +406,7 @@ def _other_orientations(
             first = _scores(side, evidence, view, config)
             if first.shape <= was.shape + search.slack:
                 turned += _fitting_in_detail(side, first, [*detail.near, *detail.far], evidence, view, config)
-    return turned
+    return turned if anyhow else [p for p in turned if _angle_between(p.object, here) > detail.search]
 
 
 def _fitting_in_detail(
@@ -619,6 +619,11 @@ def _blind_axes(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> I
             )
             if all(t.iou >= least for t in turned):
                 yield axis
+
+
+def _angle_between(a: SceneObject, b: SceneObject) -> float:
+    """The angle [rad] of the turn from one pose to another."""
+    return rotation_angle(a.T_world_object[:3, :3] @ b.T_world_object[:3, :3].T)
 
 
 def _about_middle(o: SceneObject, R: Array) -> Array:
