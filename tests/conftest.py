@@ -23,7 +23,7 @@ os.environ.update({"MALLOC_TRIM_THRESHOLD_": "2000000000", "MALLOC_MMAP_THRESHOL
 import hypothesis  # noqa: E402
 import pytest  # noqa: E402
 
-from f3sr.runtime import kernels  # noqa: E402
+from f3sr.runtime import kernels, signals  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parent))
 # No example has a deadline in wall time: other programs run on the machine. pytest-timeout ends what hangs.
@@ -35,6 +35,13 @@ hypothesis.settings.load_profile("same")
 
 from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, tiny, whole  # noqa: E402, F401
 from processor_time import pytest_runtest_setup, pytest_runtest_teardown  # noqa: E402, F401
+
+
+@pytest.fixture(autouse=True)
+def new_command() -> None:
+    """What a process wrote and keeps is told in its errors: no test hears of another one's."""
+    for told in ("_written", "_kept"):
+        getattr(signals, told).clear()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
