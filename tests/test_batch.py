@@ -41,7 +41,6 @@ from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.film.studio import FilmConfig
 from f3sr.goals.file_names import ROLLOUT
 from f3sr.pipeline_config import Config
-from f3sr.runtime import signals
 from f3sr.runtime.progress import silent
 from goal_scene import goal_package
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
@@ -581,7 +580,6 @@ def test_a_goal_of_a_batch_is_filmed_and_a_film_that_fails_leaves_the_goal(
 @pytest.fixture
 def stubbed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "WORK", "stub_job")
-    monkeypatch.setattr(signals, "_kept", [])
 
 
 @pytest.mark.usefixtures("stubbed")

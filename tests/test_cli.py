@@ -21,7 +21,6 @@ from f3sr.cli import doctor
 from f3sr.cli.main import main
 from f3sr.metrics.measures import IMAGE_MEASURES
 from f3sr.pipeline_config import Config
-from f3sr.runtime import signals
 from f3sr.scene_package.package import read_package
 from folders import write_folder
 
@@ -167,7 +166,6 @@ def fails_with(error: Exception, monkeypatch: pytest.MonkeyPatch, traceback: str
         raise error
 
     monkeypatch.setenv("F3SR_TRACEBACK", traceback)
-    monkeypatch.setattr(signals, "_written", [])
     monkeypatch.setattr(settings, "describe", fail)
 
 

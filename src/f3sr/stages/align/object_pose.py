@@ -355,10 +355,9 @@ def _reoriented(
     It is sought from where it ``came``, and by turns from where it was ``placed``."""
     search, was = config.orientations, _scores(placed, evidence, view, config)
     misses = placed.iou < search.enough or _is_turned(placed.object, was, view.scene)
-    turned = _other_orientations(came, placed, was, evidence, view, config, anyhow=misses)
-    if not turned:
+    starts = _other_orientations(came, placed, was, evidence, view, config, anyhow=misses)
+    if not starts:
         return placed, []
-    starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     near = [(s, first) for s, first in starts if first.shape <= was.shape + search.slack or first.miss <= was.miss]
     best, now = placed, was
     for start, _ in sorted(near, key=lambda s: s[1].miss)[: search.detailed]:
@@ -388,25 +387,29 @@ def _other_orientations(
     config: AlignConfig,
     *,
     anyhow: bool,
-) -> list[_Placed]:
+) -> list[tuple[_Placed, _Scores]]:
     """How else an object may be meant: turned by far, where the photo's detail says so; in any orientation, where
     detail is unlike the photo's, or ``anyhow``. What detail alone asks for is no small turn: those were tried."""
     search, detail, here = config.orientations, config.appearance, placed.object
-    turned = _fitting_in_detail(placed, was, detail.far, evidence, view, config)
+
+    def scored(some: list[_Placed]) -> list[tuple[_Placed, _Scores]]:
+        return [(p, _scores(p, evidence, view, config)) for p in some]
+
+    turned = scored(_fitting_in_detail(placed, was, detail.far, evidence, view, config))
     unlike = was.has_detail and was.correlation < detail.doubted
     if not (unlike or anyhow):
         return turned
     light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
-    sides = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+    best = best_orientations(_textured(came, view), light, search)
+    sides = scored([_turned_from(came, f, view, config) for f in best])
     light = _object_fit(outlined(here, search.max_faces), view, config, resolution=search.resolution)
     in_place = best_in_place(here, light, search, tilt=config.facets.most)
-    turned += [*sides, *(_turned_from(here, f, view, config) for f in in_place)]
-    if unlike:
-        for side in sides:
-            first = _scores(side, evidence, view, config)
-            if first.shape <= was.shape + search.slack:
-                turned += _fitting_in_detail(side, first, [*detail.near, *detail.far], evidence, view, config)
-    return turned if anyhow else [p for p in turned if _angle_between(p.object, here) > detail.search]
+    turned += sides + scored([_turned_from(here, f, view, config) for f in in_place])
+    for side, first in sides if unlike else []:
+        if first.shape <= was.shape + search.slack:
+            turns = [*detail.near, *detail.far]
+            turned += scored(_fitting_in_detail(side, first, turns, evidence, view, config))
+    return turned if anyhow else [(p, s) for p, s in turned if _angle_between(p.object, here) > detail.search]
 
 
 def _fitting_in_detail(
@@ -465,14 +468,14 @@ def _at_its_depth(
     return kept[0], [replace(decision, reason=told)]
 
 
+# --- parts of phases --------------------------------------------------------------------------------------------------
+
+
 def _is_turned(o: SceneObject, scores: _Scores, scene: Scene) -> bool:
     """Whether depths tell that an object shows another side than the photo does: by more than they err, or meshes. One
     that is before what hides it is elsewhere."""
     distance = float(np.linalg.norm(o.middle - scene.camera.center))
     return max(scores.noise, TURNED * o.size / distance) < scores.spread < np.inf and scores.before <= MOST_BEFORE
-
-
-# --- parts of phases --------------------------------------------------------------------------------------------------
 
 
 def _best_of_seeds(placed: _Placed, config: AlignConfig) -> _Placed:
