@@ -15,6 +15,7 @@ from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about, 
 from f3sr.metrics.measures import visible_ious
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
+from f3sr.stages.align.comparison import ObjectEvidence
 from f3sr.stages.align.config import (
     AppearanceConfig,
     CameraConfig,
@@ -23,7 +24,7 @@ from f3sr.stages.align.config import (
     OrientationConfig,
     TiltConfig,
 )
-from f3sr.stages.align.object_pose import ObjectEvidence, align_object
+from f3sr.stages.align.object_pose import align_object
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.motion_params import ObjectFreedom

@@ -15,8 +15,9 @@ from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.camera_pose import align_camera
+from f3sr.stages.align.comparison import ObjectEvidence
 from f3sr.stages.align.config import AlignConfig as AlignConfig
-from f3sr.stages.align.object_pose import KEPT, LEAST_IOU, ObjectEvidence, align_object
+from f3sr.stages.align.object_pose import KEPT, LEAST_IOU, align_object
 from f3sr.vision.decimated import outlined
 from f3sr.vision.occlusion import around, behind_the_photo, comparable_region, occluders
 from f3sr.vision.silhouette import Mask, iou, union_of
