@@ -18,6 +18,7 @@ from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.io.mesh_files import save_glb
+from f3sr.io.photo_hints import PhotoHints
 from f3sr.io.pose_conventions import (
     ALL_AXES,
     CAMERAS,
@@ -29,12 +30,15 @@ from f3sr.io.pose_conventions import (
     parsed,
 )
 from f3sr.mesh_poses import given_frames
+from f3sr.mesh_poses.camera_by_poses import camera_by_poses
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.mesh_poses.reading_votes import VoteConfig
+from f3sr.metrics.measures import full_silhouette
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.assemble import as_given
-from folders import camera, write_folder
+from folders import HEIGHT, WIDTH, boxes, camera, write_folder
 from scenes import box, box_mesh, chair
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -194,6 +198,70 @@ def test_a_wrong_convention_that_poses_json_declares_is_kept_and_warned_of(tmp_p
     told = read_inputs(tmp_path / "in").decisions
     warnings = [d for d in told if "looks wrong" in d.choice]
     assert len(warnings) == 1 and "wxyz/column" in warnings[0].reason
+
+
+# --- no geometry: the poses tell the camera ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by", [SAM3D, THREE_JS, UNITY], ids=["sam3d", "three.js", "unity"])
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_poses_tell_the_focal_length_where_no_geometry_does(tmp_path: Path, by: PoseConvention, unit: float):
+    """A blank photo: without the poses its focal length is the usual one, 173 px."""
+    written(tmp_path / "in", by, unit=unit)
+    given = read_inputs(tmp_path / "in", ignore=["geometry"])
+    assert given.K[0, 0] == pytest.approx(camera().K[0, 0], rel=0.04)
+    assert any("told by the poses of the meshes" in d.choice for d in given.decisions)
+
+
+def test_stable_facets_tell_what_is_up_where_no_geometry_does(tmp_path: Path):
+    true = write_folder(tmp_path / "in")
+    given = read_inputs(tmp_path / "in", ignore=["geometry"])
+    points = given.geometry.points[given.geometry.valid].astype(float)
+    normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
+    assert abs(normal @ true.camera.T_world_camera[2, :3]) > np.cos(np.radians(3))
+    assert any("the stable facets of 3 posed meshes" in d.choice for d in given.decisions)
+
+
+def test_posed_meshes_tell_the_focal_length_too(tmp_path: Path):
+    posed(tmp_path / "in", "opencv")
+    given = read_inputs(tmp_path / "in", ignore=["geometry"])
+    assert given.K[0, 0] == pytest.approx(camera().K[0, 0], rel=0.04)
+
+
+def test_a_told_focal_length_overrules_the_poses(tmp_path: Path):
+    write_folder(tmp_path / "in")
+    given = read_inputs(tmp_path / "in", ignore=["geometry"], hints=PhotoHints(focal=260.0))
+    assert given.K[0, 0] == 260
+    (tmp_path / "in/geometry.npz").unlink()
+    (tmp_path / "in/intrinsics.json").write_text(json.dumps({"K": [[250, 0, 99], [0, 250, 70], [0, 0, 1]]}))
+    assert read_inputs(tmp_path / "in").K[0, 0] == 250
+
+
+def test_poses_that_show_nothing_near_the_masks_tell_no_camera(tmp_path: Path):
+    write_folder(tmp_path / "in")
+    place = tmp_path / "in/assets/poses.json"
+    document = json.loads(place.read_text())
+    for entry in document["objects"]:
+        entry["translation"] = [8.0, -5.0, 1.0]
+    place.write_text(json.dumps(document))
+    given = read_inputs(tmp_path / "in", ignore=["geometry"])
+    assert not any("told by the poses" in d.choice for d in given.decisions)
+
+
+@pytest.mark.parametrize("zoom", [0.5, 1.0, 4.0])
+def test_a_photo_zoomed_by_a_factor_has_its_focal_length_times_that(zoom: float):
+    """The same places, drawn by another lens: depths, and so perspectives, stay."""
+    things, eye = [o for o in boxes() if o.id != 5], camera()
+    eye = replace(eye, K=np.array([[eye.K[0, 0] * zoom, 0, WIDTH / 2], [0, eye.K[1, 1] * zoom, HEIGHT / 2], [0, 0, 1]]))
+    eye = eye.resized(4 * WIDTH, 4 * HEIGHT) if zoom < 1 else eye
+    masks = {o.id: full_silhouette(o, eye) for o in things}
+    places = CandidatePlaces.of_frames([o.id for o in things], [CAMERAS["opencv"]])
+    meshes = {o.id: o.mesh.with_vertices(eye.to_camera(o.vertices_world)) for o in things}
+    found = camera_by_poses(masks, meshes, places, units=False)
+    assert found is not None
+    assert abs(np.log(found.focal.pixels / eye.K[0, 0])) < max(0.015, 3 * found.focal.sigma)
+    for o, up in zip(things, found.upward, strict=True):
+        assert (up @ eye.T_camera_world[:3, 2]).max() == pytest.approx(1, abs=1e-9), f"box {o.id} stands"
 
 
 def test_meshes_in_their_own_frame_stand_where_the_masks_put_them(tmp_path: Path):

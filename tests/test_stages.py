@@ -188,6 +188,8 @@ def test_without_normals_an_estimate_keeps_its_focal_length_and_knows_no_error(e
     scene, _ = level(replace(wrong, geometry=replace(wrong.geometry, normals=None)))
     assert np.array_equal(scene.camera.K, wrong.camera.K)
     assert np.isinf([scene.ground.tilt_error, scene.ground.height_error]).all()
+    told, _ = level(replace(wrong, geometry=replace(wrong.geometry, normals=None, up_error=0.03)))
+    assert told.ground.tilt_error == 0.03, "unless it tells that"
 
 
 def test_only_a_sensor_measures_the_height_of_the_ground(exact: Scene, tmp_path: Path):

@@ -97,6 +97,8 @@ class Geometry:
     source: GeometrySource = "estimate"
     noise: float | None = None
     """Standard deviation of its depths [share of the distance], where a user gives it."""
+    up_error: float | None = None
+    """Two standard errors of the ground's normal [rad], where an estimator tells them."""
     guessed_unit: bool = False
     """Whether it claims no metres: known lengths and usual sizes may change its unit."""
     zooms: tuple[float, ...] = ()

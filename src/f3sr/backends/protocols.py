@@ -61,6 +61,8 @@ class PromptedImage:
     """Of the camera above the ground [m], where the user gives it; likewise."""
     normals: EstimatedNormals | None = None
     """Of a network, only for estimators whose ``takes_normals`` is true."""
+    upward: tuple[Array, ...] = ()
+    """Of each mesh posed in the camera: directions (m, 3) against gravity if it rests on one of its m stable facets."""
 
 
 Stroke = tuple[tuple[float, float], ...]
@@ -132,6 +134,8 @@ class EstimatedGeometry:
     guessed_unit: bool = False
     """Whether its unit rests on a guess, as that of the camera's height: known lengths and usual sizes then change it.
     That of points of the ground only always does."""
+    up_error: float | None = None
+    """Two standard errors of the ground's normal [rad], where they are known: they show in no point of a plane."""
     told: str = ""
     """What it rests on, for the report."""
 

@@ -129,6 +129,12 @@ class Mesh:
             return False
         return mass_properties(vertices, faces).is_possible
 
+    @cached_property
+    def center_of_mass(self) -> Array:
+        """(3,) of the solid, or of the hull where the surface bounds none."""
+        solid = self.welded if self.is_solid else (self.hull.vertices, self.hull.faces)
+        return frozen(mass_properties(*solid).center)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConvexPart:

@@ -16,10 +16,12 @@ from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes
 from f3sr.importing.import_source import ImportSource, Masks
 from f3sr.importing.imported_folder import IMPORTED, as_json, grey, photo_name
-from f3sr.importing.lens_by_poses import fitted_focal
 from f3sr.importing.mesh_matching import matched
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.masks import MIN_PIXELS
+from f3sr.io.pose_conventions import all_conventions
+from f3sr.mesh_poses.camera_by_poses import camera_by_poses
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.scene import Photo
 from f3sr.segmentation.input_folder_writer import mask_name
 from f3sr.segmentation.selection import Selection, told_apart
@@ -83,8 +85,12 @@ def _focal(
     poses = {id: m.pose.given for id, m in meshes.items() if m.pose is not None}
     if found.points is not None or found.photo.focal or len(poses) < len(meshes):
         return None, ()
-    focal = fitted_focal({id: m.mesh for id, m in meshes.items()}, poses, masks)
-    return focal, () if focal is None else (f"focal length {focal:.0f} px: fitted to masks and poses",)
+    places = CandidatePlaces.of_poses(poses, all_conventions())
+    camera = camera_by_poses(masks, {id: m.mesh for id, m in meshes.items()}, places, units=False)
+    if camera is None:
+        return None, ()
+    focal, sigma = camera.focal.pixels, camera.focal.sigma
+    return focal, (f"focal length {focal:.0f} px +- {100 * sigma:.0f} %: fitted to masks and poses",)
 
 
 def _apart(photo: Photo, masks: Masks) -> tuple[dict[int, NDArray[np.bool_]], NDArray[np.bool_]]:

@@ -67,11 +67,16 @@ def geometry_of(
     normals = None if answer.normals is None else _array(where, "normals", answer.normals, "f", (*valid.shape, 3))
     K = checked_K(where, _array(where, "K", answer.K, "fiu", (3, 3)).astype(float), image.photo)
     geometry = estimated(folder, where, points, valid, normals, np.eye(3))
-    folder.digests[f"geometry by {backend.key}"] = _digest(points, valid, normals, K)
+    folder.digests[f"geometry by {backend.key}"] = _digest(points, valid, normals, K, answer.up_error)
     if _typed(where, answer.ground_only, bool):
         geometry = replace(geometry, source="ground", guessed_unit=True)
     elif _typed(where, answer.guessed_unit, bool):
         geometry = replace(geometry, guessed_unit=True)
+    if answer.up_error is not None:
+        up_error = _number(where, answer.up_error)
+        if not 0 <= up_error <= math.pi:
+            _refuse(where, f"an error of {up_error:g} rad", "0 to pi")
+        geometry = replace(geometry, up_error=up_error)
     told = _told(where, answer.told)
     folder.decide(f"geometry: estimated by {where}{told and ': '}{told}", ABSENT, fallback=fallback)
     tell_stretch(folder, geometry, image.photo)

@@ -36,6 +36,7 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")
 """Files in assets/ that look like an object's mesh: each must belong to a mask."""
 ONE_PER_MASK = "one mesh per mask"
 ASSETS_ACCEPTED = "assets/poses.json with GLBs, or one posed GLB per mask, or a back end's name after --assets"
+POSES = "assets/poses.json"
 UNPLACED = re.compile(r"[0-9]+\.json")
 """Files that tell of one mesh each, as workers' answers do, where there is no poses.json."""
 
@@ -61,20 +62,22 @@ Place = Callable[[GivenMeshes], PlacedMeshes]
 """Where meshes stand, told by somebody who sees the masks."""
 
 
-def read_assets(
-    folder: InputFolder, masks: Mapping[int, str], frame: str, place: Place | None = None
-) -> dict[int, PosedAsset]:
-    """One asset per object; ``masks`` gives each id's mask file name, ``frame`` is what ``--asset-frame`` says.
-
-    ``place`` tells what nobody declares; without it only what is certain is read. Raises InputError, which names the
-    file, for a mesh that is missing, left over, broken or of an odd size, and for a frame that nothing tells."""
-    names = folder.names("assets")
-    by_poses = folder.has("assets/poses.json")
-    given, files = _with_poses(folder, masks, frame) if by_poses else _without_poses(folder, names, masks, frame)
-    used = {Path(file).name for file in files.values()}
-    if extra := [n for n in names if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
+def read_meshes(folder: InputFolder, masks: Mapping[int, str], frame: str) -> GivenMeshes:
+    """One mesh per object, and its pose if there is one; ``masks`` gives each id's mask file name, ``frame`` is what
+    ``--asset-frame`` says. Raises InputError, which names the file, for a mesh that is missing, left over or broken."""
+    given = _with_poses(folder, masks, frame) if folder.has(POSES) else _without_poses(folder, masks, frame)
+    used = {file.name for file in given.files.values()}
+    if extra := [n for n in folder.names("assets") if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
         raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
-    placed = place(given) if place else _as_certain(folder, given, files)
+    return given
+
+
+def placed_assets(
+    folder: InputFolder, given: GivenMeshes, masks: Mapping[int, str], place: Place | None = None
+) -> dict[int, PosedAsset]:
+    """Meshes in the camera, by object id. ``place`` tells what nobody declares; without it only what is certain is
+    read. Raises InputError for a frame that nothing tells, and for an object of an odd size."""
+    placed = place(given) if place else _as_certain(given)
     for d in placed.decisions:
         folder.decide(d.choice, d.reason, d.about, fallback=d.fallback)
     assets = {
@@ -82,7 +85,7 @@ def read_assets(
             mesh=asset.mesh,
             T_camera_object=asset.T_camera_object,
             scale=asset.scale,
-            source=given.place if by_poses else folder.path(f"assets/{files[id]}"),
+            source=given.files[id] if given.poses is None else given.place,
         )
         for id, asset in placed.assets.items()
     }
@@ -92,7 +95,7 @@ def read_assets(
 
 def has_unplaced_meshes(folder: InputFolder) -> bool:
     """Whether the folder's meshes come with a file each, NN.json, that may tell no pose or one to be read."""
-    return not folder.has("assets/poses.json") and any(map(UNPLACED.fullmatch, folder.names("assets")))
+    return not folder.has(POSES) and any(map(UNPLACED.fullmatch, folder.names("assets")))
 
 
 def require_assets(
@@ -183,10 +186,10 @@ def _describe(folder: InputFolder, id: int, mesh: Mesh) -> None:
         folder.decide("kept as it is", f"the mesh has {flaws}", id)
 
 
-def _with_poses(folder: InputFolder, masks: Mapping[int, str], frame: str) -> tuple[GivenMeshes, dict[int, str]]:
-    """The meshes of poses.json, and their files below assets/."""
-    path = folder.path("assets/poses.json")
-    document = folder.document("assets/poses.json", sam3d.Poses)
+def _with_poses(folder: InputFolder, masks: Mapping[int, str], frame: str) -> GivenMeshes:
+    """The meshes of poses.json."""
+    path = folder.path(POSES)
+    document = folder.document(POSES, sam3d.Poses)
     by_mask = {p.mask: p for p in document.objects}
     if len(by_mask) != len(document.objects):
         raise InputError(path, found="two poses for one mask", accepted="one pose per mask")
@@ -196,21 +199,19 @@ def _with_poses(folder: InputFolder, masks: Mapping[int, str], frame: str) -> tu
     if extra := sorted(by_mask.keys() - names):
         raise InputError(path, found=f"assets for unknown masks {', '.join(extra)}", accepted="one asset per mask")
     poses = {id: by_mask[name] for id, name in masks.items()}
-    given = GivenMeshes(
+    return GivenMeshes(
         place=path,
         meshes={id: _mesh(folder, id, p.mesh) for id, p in poses.items()},
+        files={id: folder.path(f"assets/{p.mesh}") for id, p in poses.items()},
         poses=poses,
         declared=document.declared,
         frame=frame,
     )
-    return given, {id: p.mesh for id, p in poses.items()}
 
 
-def _without_poses(
-    folder: InputFolder, names: Sequence[str], masks: Mapping[int, str], frame: str
-) -> tuple[GivenMeshes, dict[int, str]]:
-    """One GLB per mask, found by the mask's stem or id, and its name."""
-    files = [n for n in names if n.lower().endswith(".glb")]
+def _without_poses(folder: InputFolder, masks: Mapping[int, str], frame: str) -> GivenMeshes:
+    """One GLB per mask, found by the mask's stem or id."""
+    files = [n for n in folder.names("assets") if n.lower().endswith(".glb")]
     chosen = dict[int, str]()
     for id, mask in masks.items():
         own = [n for n in files if Path(n).stem == Path(mask).stem] or [n for n in files if _leading_id(n) == id]
@@ -222,11 +223,17 @@ def _without_poses(
                 accepted="one posed GLB per mask, named by the mask's stem or id (or poses.json)",
             )
         chosen[id] = own[0]
-    meshes = {id: _mesh(folder, id, name) for id, name in chosen.items()}
-    return GivenMeshes(place=folder.path("assets"), meshes=meshes, poses=None, declared=False, frame=frame), chosen
+    return GivenMeshes(
+        place=folder.path("assets"),
+        meshes={id: _mesh(folder, id, name) for id, name in chosen.items()},
+        files={id: folder.path(f"assets/{name}") for id, name in chosen.items()},
+        poses=None,
+        declared=False,
+        frame=frame,
+    )
 
 
-def _as_certain(folder: InputFolder, given: GivenMeshes, files: Mapping[int, str]) -> PlacedMeshes:
+def _as_certain(given: GivenMeshes) -> PlacedMeshes:
     """Assets where nobody sees the masks: poses by the documented convention, meshes in axes that are told or certain.
 
     Raises InputError for all else."""
@@ -238,8 +245,7 @@ def _as_certain(folder: InputFolder, given: GivenMeshes, files: Mapping[int, str
             local = mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T)
             assets[id] = GeneratedAsset(mesh=local, T_camera_object=pose(R, t), scale=entry.uniform_scale)
             continue
-        path = folder.path(f"assets/{files[id]}")
-        vertices = mesh.vertices @ _posed_frame(path, mesh, given.frame).T
+        vertices = mesh.vertices @ _posed_frame(given.files[id], mesh, given.frame).T
         center = (vertices.min(0) + vertices.max(0)) / 2
         assets[id] = GeneratedAsset(
             mesh=mesh.with_vertices(vertices - center), T_camera_object=pose(np.eye(3), center), scale=1.0

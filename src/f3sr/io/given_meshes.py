@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from f3sr.backends.protocols import GeneratedAsset, PromptedImage
+from f3sr.backends.protocols import GeneratedAsset, KnownFocal, PromptedImage
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array
 from f3sr.io.sam3d import AssetPose
@@ -22,6 +22,8 @@ class GivenMeshes:
     place: Path
     """What errors name: poses.json, or the folder of the meshes."""
     meshes: Mapping[int, Mesh]
+    files: Mapping[int, Path]
+    """Of the meshes."""
     poses: Mapping[int, AssetPose] | None
     """As poses.json has them; None without that file."""
     declared: bool
@@ -38,9 +40,22 @@ class PlacedMeshes:
     decisions: tuple[Decision, ...] = ()
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraByPoses:
+    """What meshes posed in a camera tell of it."""
+
+    focal: KnownFocal
+    upward: tuple[Array, ...]
+    """As a ``PromptedImage`` has it; empty where the meshes' axes are in doubt."""
+
+
 class MeshPlacer(Protocol):
     """Tells where meshes stand whose frame, or pose, nobody tells."""
 
     def place(self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes) -> PlacedMeshes:
         """All meshes in OpenCV camera axes. Raises InputError where nothing decides: it names what may be told."""
+        ...
+
+    def camera(self, image: PromptedImage, given: GivenMeshes) -> CameraByPoses | None:
+        """The camera in which meshes are posed, where nobody tells it; None if the poses do not."""
         ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -37,7 +37,7 @@ from f3sr.io.answers import (
     require_relation,
     with_normals,
 )
-from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, has_unplaced_meshes, read_assets, require_size
+from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, has_unplaced_meshes, placed_assets, read_meshes, require_size
 from f3sr.io.exif import ExifError, focal_by_exif
 from f3sr.io.geometry import (
     DEPTH_FILES,
@@ -47,7 +47,7 @@ from f3sr.io.geometry import (
     read_geometry,
     read_intrinsics,
 )
-from f3sr.io.given_meshes import MeshPlacer
+from f3sr.io.given_meshes import CameraByPoses, GivenMeshes, MeshPlacer
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
 from f3sr.io.images import as_rgb, exif_orientation, open_image
 from f3sr.io.input_folder import InputFolder
@@ -171,6 +171,8 @@ def read(
         stand_ins=stand_ins or Fillers(),
         hints=hints or PhotoHints(),
         placer=placer,
+        masks={i.id: i.name for i in instances},
+        asset_frame=asset_frame,
     )
     instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
@@ -182,7 +184,7 @@ def read(
     if geometry_noise is not None:
         geometry = _with_noise(source, geometry, geometry_noise)
     _require_inside(source, geometry, instances)
-    assets = parts.assets(image, geometry, K, asset_frame)
+    assets = parts.assets(image, geometry, K)
     _require_agreement(source, geometry, instances, assets)
     return Inputs(
         photo=photo,
@@ -221,6 +223,9 @@ class _Parts:
     stand_ins: Fillers
     hints: PhotoHints = field(default_factory=PhotoHints)
     placer: MeshPlacer | None = None
+    masks: Mapping[int, str]
+    """Names of their files, by object id."""
+    asset_frame: str
     used: dict[str, Backend[Any]] = field(default_factory=dict[str, Backend[Any]])
 
     def has(self, part: str, *names: str) -> bool:
@@ -252,7 +257,8 @@ class _Parts:
         return self.has("geometry", *DEPTH_FILES) and not any(map(self.folder.has, ("geometry.npz", INTRINSICS)))
 
     def hinted(self, image: PromptedImage, by_exif: KnownFocal | str | None) -> PromptedImage:
-        """With what is known of the camera, where it has to be found: by the user, intrinsics.json, or EXIF.
+        """With what is known of the camera, where it has to be found: by the user, by intrinsics.json, else by EXIF or
+        by the poses of the meshes, whichever is surer. Poses also tell which way is up.
 
         Raises InputError for hints that nothing asks for."""
         given = self.has("geometry", *GEOMETRY_FILES)
@@ -266,9 +272,16 @@ class _Parts:
             focal = read_intrinsics(self.folder, image.photo)
         if not focal and isinstance(by_exif, str):
             self.folder.decide("EXIF ignored", by_exif, fallback=True)
-        elif not focal:
-            focal = by_exif
-        return replace(image, focal=focal, camera_height=self.hints.camera_height)
+        by_poses = self._camera_by_poses(image)
+        if not focal:
+            told = [f for f in (by_exif, by_poses and by_poses.focal) if isinstance(f, KnownFocal)]
+            focal = min(told, key=lambda f: f.sigma, default=None)
+        upward = by_poses.upward if by_poses else ()
+        return replace(image, focal=focal, camera_height=self.hints.camera_height, upward=upward)
+
+    def _camera_by_poses(self, image: PromptedImage) -> CameraByPoses | None:
+        posed = self.has("assets", "assets") and not has_unplaced_meshes(self.folder)
+        return self.placer.camera(image, self.meshes) if posed and self.placer else None
 
     def require_taken(self, photo: Photo, geometry: Geometry, K: Array) -> None:
         """Raises InputError for a hint that the back end does without."""
@@ -319,7 +332,12 @@ class _Parts:
             return geometry
         return with_normals(geometry, normals_of(self.folder, self._standing_in(backend), image, geometry, K))
 
-    def assets(self, image: PromptedImage, geometry: Geometry, K: Array, frame: str) -> dict[int, PosedAsset]:
+    @cached_property
+    def meshes(self) -> GivenMeshes:
+        """Those of the folder."""
+        return read_meshes(self.folder, self.masks, self.asset_frame)
+
+    def assets(self, image: PromptedImage, geometry: Geometry, K: Array) -> dict[int, PosedAsset]:
         given = self.has("assets", "assets")
         if backend := self._filler(self.fillers.assets, given):
             return assets_of(self.folder, backend, image, geometry, K)
@@ -332,7 +350,7 @@ class _Parts:
             places = self._standing_in(self.stand_ins.places(self.folder.path("assets")))
             return assets_of(self.folder, places, image, geometry, K, saved=True)
         place = None if self.placer is None else partial(self.placer.place, image, geometry, K)
-        return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame, place)
+        return placed_assets(self.folder, self.meshes, self.masks, place)
 
     def graph(self, image: PromptedImage, geometry: Geometry) -> SceneGraph | None:
         given = self.has("scene_graph", "scene_graph.json")

@@ -14,9 +14,10 @@ import numpy as np
 from f3sr.backends.protocols import GivenPose, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError, printable
-from f3sr.io.given_meshes import GivenMeshes, PlacedMeshes
+from f3sr.io.given_meshes import CameraByPoses, GivenMeshes, PlacedMeshes
 from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, SignedAxes, all_conventions, camera_axes, parsed
 from f3sr.io.sam3d import AssetPose
+from f3sr.mesh_poses.camera_by_poses import camera_by_poses
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import sieved
 from f3sr.mesh_poses.placed_by_reading import about_its_middle, asset_of, placed_by_reading
@@ -40,6 +41,15 @@ class MaskPlacer:
     """The ``MeshPlacer`` that asks the masks."""
 
     votes: VoteConfig = DEFAULT_VOTES
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def camera(self, image: PromptedImage, given: GivenMeshes) -> CameraByPoses | None:
+        """The camera before which meshes show what the masks show, where they are posed; None if they are not."""
+        if given.frame == UNPOSED:
+            return None
+        places = _readings(given) if (declared := _declared(given)) is None else declared
+        masks = {i.id: i.mask for i in image.instances}
+        return camera_by_poses(masks, given.meshes, places, units=given.poses is not None)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def place(self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes) -> PlacedMeshes:

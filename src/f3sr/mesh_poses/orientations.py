@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact.stable_facets import resting_turn
-from f3sr.core.mesh import mass_properties
 from f3sr.core.transforms import UP, Array, rotation_about, rotation_angle, rotation_between, turn_about
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
@@ -146,9 +145,7 @@ def facet_turn(o: SceneObject, most: float) -> Array | None:
 
 
 def _turn_onto_facet(o: SceneObject, R_world: Array, most: float) -> Array | None:
-    hull = o.mesh.hull
-    solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
-    return resting_turn(hull, mass_properties(*solid).center, R_world, max_tilt=most)
+    return resting_turn(o.mesh.hull, o.mesh.center_of_mass, R_world, max_tilt=most)
 
 
 def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:

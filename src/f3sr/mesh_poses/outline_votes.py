@@ -9,14 +9,15 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
-from f3sr.mesh_poses.pose_by_mask import MaskedPhoto, unplaced
+from f3sr.mesh_poses.pose_by_mask import MaskedPhoto
 from f3sr.settings import constants
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled
-from f3sr.vision.decimated import outlined
+from f3sr.vision.decimated import outline_mesh
 from f3sr.vision.silhouette import Mask, iou, union_of
 
 
@@ -64,23 +65,23 @@ class MaskOutline:
     """Of the mask [px of the photo]."""
 
     @classmethod
-    def of(cls, view: MaskedPhoto, id: int, mesh: Mesh, config: OutlineConfig) -> MaskOutline:
-        instance = view.instances[id]
-        light = outlined(unplaced(instance, mesh), config.max_faces).mesh
-        rows, columns = np.nonzero(instance.mask)
+    def of(cls, masks: Mapping[int, Mask], camera: Camera, id: int, mesh: Mesh, config: OutlineConfig) -> MaskOutline:
+        """Of one of the photo's ``masks`` (H, W), by id."""
+        light, mask = outline_mesh(mesh, config.max_faces), masks[id]
+        rows, columns = np.nonzero(mask)
         low = np.array([columns.min(), rows.min()], float)
         high = np.array([columns.max() + 1, rows.max() + 1], float)
         margin = config.margin * (high - low).max()
         x, y = np.floor(low - margin).astype(int)
         width, height = (np.ceil(high + margin) - (x, y)).astype(int)
-        window = view.camera.cropped(int(x), int(y), int(width), int(height)).limited(config.resolution)
-        others = union_of((i.mask for i in view.instances.values() if i.id != id), instance.mask.shape)
+        window = camera.cropped(int(x), int(y), int(width), int(height)).limited(config.resolution)
+        others = union_of((m for other, m in masks.items() if other != id), mask.shape)
         return cls(
             vertices=light.vertices,
             faces=light.faces,
             K=window.K,
-            mask=sampled(instance.mask, view.camera, window, fill=False),
-            valid=sampled(~others, view.camera, window, fill=False),
+            mask=sampled(mask, camera, window, fill=False),
+            valid=sampled(~others, camera, window, fill=False),
             middle=(low + high) / 2,
             diagonal=float(np.linalg.norm(high - low)),
             area=len(rows),
@@ -105,7 +106,8 @@ def sieved(
 ) -> tuple[CandidatePlaces, Array]:
     """The readings that show something near the masks, best first, and what each misses of them (k,), the mean of
     1 - IoU. Every reading has the unit of its files that fits the masks' sizes best, unless ``units`` are known."""
-    outlines = [MaskOutline.of(view, id, meshes[id], config) for id in places.ids]
+    masks = {id: i.mask for id, i in view.instances.items()}
+    outlines = [MaskOutline.of(masks, view.camera, id, meshes[id], config) for id in places.ids]
     factors = np.array(config.units if units else config.units[:1])
     scale, off = _in_units(view.camera.K, outlines, places, factors, config)
     near = np.flatnonzero(off <= 1)

@@ -99,6 +99,17 @@ class GroundNormalModel:
     """Share of normals that are no ground's: a slope, or a wrong answer. They are even over the half sphere."""
 
 
+@constants
+class FacetModel:
+    """How the vertical scatters about the directions that stable facets of posed meshes have."""
+
+    strange: float = 0.3
+    """Share of objects that rest on none of their facets, or lean, or whose hidden side is wrong."""
+    lean: float = math.radians(6)
+    """Standard deviation about each axis [rad]: of what rests on a facet, generated poses are off by up to ten
+    degrees."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
     """A camera's focal length [px] and attitude [rad]; its principal point is in the middle unless told.
@@ -144,6 +155,9 @@ class _CameraEvidence:
     ground: GroundNormal | None
     """By a network."""
     slopes: GroundNormalModel
+    upward: Sequence[Array]
+    """Of posed meshes, as a ``PromptedImage`` has it."""
+    facets: FacetModel
 
     def log_posterior(self, x: Array, *, turn: float, blur: float = 0.0) -> Array:
         """(t,) up to a constant, for cameras x (t, 3)."""
@@ -151,7 +165,14 @@ class _CameraEvidence:
         rotations = np.array([attitude(pitch, roll) for pitch, roll in x[:, 1:]])
         lines = log_likelihoods(self.segments, focals, rotations, self.directions, step=turn, blur=blur).sum(1)
         prior = -0.5 * (((x - self.means) / self.sigmas) ** 2).sum(1)
-        return lines + self._circular(focals, rotations) + self._below(x) + self._upright(rotations, blur) + prior
+        return (
+            lines
+            + self._circular(focals, rotations)
+            + self._below(x)
+            + prior
+            + self._upright(rotations, blur)
+            + self._resting(rotations, blur)
+        )
 
     def _circular(self, focals: Array, rotations: Array) -> Array:
         """Log-likelihood (t,) of all rims as horizontal circles, over that of ellipses of any shape.
@@ -187,6 +208,16 @@ class _CameraEvidence:
         strange = self.slopes.strange
         return np.log1p((1 - strange) / strange / sigma**2 * np.exp(-far))
 
+    def _resting(self, rotations: Array, blur: float) -> Array:
+        """Log-likelihood (t,) of the stable facets of posed meshes, over that of facets on which nothing rests."""
+        sigma, total = math.hypot(self.facets.lean, blur), np.zeros(len(rotations))
+        for directions in self.upward:
+            if len(directions):
+                far = (1 - rotations[:, :, 2] @ directions.T) / sigma**2
+                strange = self.facets.strange
+                total += np.log1p((1 - strange) / strange / sigma**2 * np.exp(-far).mean(1))
+        return total
+
     def _below(self, x: Array) -> Array:
         """Log-likelihood (t,) of the horizon's place: ground is below it, and the camera above much of what stands."""
         middle = -np.exp(x[:, 0]) * np.tan(x[:, 1]) / np.cos(x[:, 2])
@@ -217,13 +248,14 @@ def estimate_camera(
     focal: KnownFocal | None = None,
     priors: CameraPriors | None = None,
     normal: GroundNormal | None = None,
+    upward: Sequence[Array] = (),
 ) -> CameraEstimate:
     """The camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
-    ``focal`` is what somebody tells of the focal length, and of the principal point; ``normal`` is a network's normal
-    of the ground, in camera axes. The posterior is searched on a
-    grid and then sampled; the samples' spread gives the errors."""
-    evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors(), normal)
+    ``focal`` is what somebody tells of the focal length, and of the principal point. ``normal`` is a network's normal
+    of the ground, in camera axes. ``upward`` is that of posed meshes, as a ``PromptedImage`` has it. The posterior is
+    searched on a grid and then sampled; the samples' spread gives the errors."""
+    evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors(), normal, upward)
     found = _posterior(evidence)
     best = found.centre(WINDOW)
     f, pitch, roll = map(float, np.sqrt(np.diag(found.covariance(best))))
@@ -245,6 +277,7 @@ def _evidence(
     focal: KnownFocal | None,
     priors: CameraPriors,
     normal: GroundNormal | None,
+    upward: Sequence[Array],
 ) -> tuple[_CameraEvidence, float]:
     """What the photo shows, and its pixels per pixel of that."""
     scale = max(1.0, max(rgb.shape[:2]) / LONGEST)
@@ -277,6 +310,8 @@ def _evidence(
         horizon=HorizonModel(),
         ground=normal,
         slopes=GroundNormalModel(),
+        upward=upward,
+        facets=FacetModel(),
     ), scale
 
 

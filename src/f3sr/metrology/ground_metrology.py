@@ -39,8 +39,9 @@ class GroundMetrology:
         photo, masks = image.photo, [i.mask for i in image.instances]
         normal = ground_normal(image)
         camera = estimate_camera(
-            photo.rgb, masks, image.ground_mask, focal=image.focal, priors=self.priors, normal=normal
-        )
+            photo.rgb, masks, image.ground_mask,
+            focal=image.focal, priors=self.priors, normal=normal, upward=image.upward,
+        )  # fmt: skip
         x, y = (image.focal and image.focal.centre) or (photo.width / 2, photo.height / 2)
         K = np.array([[camera.focal, 0, x], [0, camera.focal, y], [0, 0, 1]])
         height = image.camera_height or (ROOM if _shows_horizon(camera, K) else TABLE)
@@ -48,7 +49,9 @@ class GroundMetrology:
         points, seen = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
         valid = seen & ~resample(union_of((i.mask for i in image.instances), photo.rgb.shape[:2]), w, h)
         told = _told(camera, image, height, normal)
-        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=told)
+        _, pitch, roll = camera.errors
+        up_error = 2 * math.sqrt((pitch**2 + roll**2) / 2)
+        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, up_error=up_error, told=told)
 
 
 def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
@@ -78,6 +81,8 @@ def _told(camera: CameraEstimate, image: PromptedImage, height: float, normal: G
         seen = f" and a network's normals of the ground, {degrees(camera.normal_off):.1f} +- {error:.1f} degrees off"
     elif image.normals is not None:
         seen = "; the network's normals show no plane where the ground is"
+    if image.upward:
+        seen += f", and the stable facets of {len(image.upward)} posed meshes"
     over = "is, as given," if image.camera_height else "is taken to be"
     return (
         f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %{known}, pitch {degrees(camera.pitch):.1f} +- "

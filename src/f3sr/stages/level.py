@@ -107,7 +107,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
             scene, points = _zoomed(scene, factor), points / [factor, factor, 1.0]
             plane = fit_plane(points, rng, tolerance)
     on_plane = np.abs(points @ plane.normal - plane.offset) < tolerance
-    found, height_error = _weighed(plane, points[on_plane], seen, config, measured=scene.has_measured_depth)
+    found, height_error = _weighed(scene, plane, points[on_plane], seen, config)
     height = -float(np.median(points[on_plane] @ found.normal))
     R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ found.normal, [0, 0, 1])
     T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
@@ -137,17 +137,19 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
 
 
 def _weighed(
-    plane: GroundPlane, points: Array, seen: GroundNormal | None, config: LevelConfig, *, measured: bool
+    scene: Scene, plane: GroundPlane, points: Array, seen: GroundNormal | None, config: LevelConfig
 ) -> tuple[GroundNormal, float]:
     """The ground's normal by all evidence, and two standard errors of its height [m].
 
     Points (n, 3) on the plane and the normals ``seen`` weigh by their inverse variances. A wrong focal length turns
-    estimated points, and shows in no residual. So without normals the error of an estimate is not known."""
-    tilt_error, height_error = plane_errors(points)
+    estimated points, and shows in no residual. So without normals the error of an estimate is not known, unless it
+    tells it."""
+    measured, (tilt_error, height_error) = scene.has_measured_depth, plane_errors(points)
     if measured and seen is None:
         return GroundNormal(normal=plane.normal, error=tilt_error), height_error
     if seen is None:
-        return GroundNormal(normal=plane.normal, error=np.inf), np.inf
+        told = scene.geometry.up_error if scene.geometry else None
+        return GroundNormal(normal=plane.normal, error=np.inf if told is None else told), np.inf
     cosine = min(1.0, abs(float(plane.normal[2])))
     by_focal = 0.0 if measured else 2 * config.focal_sigma * cosine * math.sqrt(1 - cosine**2)
     error = tilt_error if measured else math.hypot(ALIKE * tilt_error, by_focal)

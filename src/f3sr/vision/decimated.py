@@ -14,13 +14,19 @@ _KNOWN: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
 
 def outlined(o: SceneObject, max_faces: int) -> SceneObject:
-    """The object with a mesh of at most about ``max_faces``; made once per mesh, as long as somebody holds that."""
-    if len(o.mesh.faces) <= max_faces:
-        return o
-    known = _KNOWN.setdefault(o.mesh, {})
+    """The object with a mesh of at most about ``max_faces``."""
+    light = outline_mesh(o.mesh, max_faces)
+    return o if light is o.mesh else replace(o, mesh=light)
+
+
+def outline_mesh(mesh: Mesh, max_faces: int) -> Mesh:
+    """A mesh of at most about ``max_faces``; made once per mesh, as long as somebody holds that."""
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    known = _KNOWN.setdefault(mesh, {})
     if max_faces not in known:
-        known[max_faces] = _simplified(o.mesh, max_faces)
-    return replace(o, mesh=known[max_faces])
+        known[max_faces] = _simplified(mesh, max_faces)
+    return known[max_faces]
 
 
 def _simplified(mesh: Mesh, max_faces: int) -> Mesh:

@@ -25,6 +25,8 @@ PRIOR = 0.01
 """Quadratic prior on the camera's motion over its bounds: masks without evidence leave the camera where it is."""
 FOCAL_RANGE = 0.1
 """Largest change of the logarithm of the focal length."""
+LEAN = np.radians(6)
+"""Standard deviation of the lean of a generated pose about each horizontal axis [rad]: up to ten degrees occur."""
 EVIDENCE = 192
 """Longer side [px] of the image in which depths are compared with the geometry."""
 
@@ -34,6 +36,7 @@ Score = Callable[[Scene], float]
 def align_camera(scene: Scene, config: AlignConfig, *, score: Score) -> tuple[Scene, list[Decision]]:
     """Six degrees of freedom about the scene's centre, then, where that is wanted, the focal length with them.
 
+    Tilt is free only where the ground is less sure of it than the objects together: their poses lean, each on its own.
     Each step is kept on two conditions. ``score``, the mIoU of the instances, does not drop. The geometry, which is
     fixed to the camera, fits the objects no worse than before; for the focal length, the ground too.
     """
@@ -53,7 +56,9 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     union = union_of(masks, (small.height, small.width))
     center = small.to_camera(np.mean([o.middle for o in scene], axis=0)[None])[0]
     shift = step.translation * float(np.linalg.norm(center))
-    tilt, height = min(step.rotation, scene.ground.tilt_error), min(shift, scene.ground.height_error)
+    ground, by_objects = scene.ground, LEAN / np.sqrt(len(scene.objects))
+    tilt = min(step.rotation, ground.tilt_error) if ground.tilt_error > 2 * by_objects else 0.0
+    height = min(shift, ground.height_error)
     reach = [tilt, tilt, step.rotation, shift, shift, height] + [FOCAL_RANGE] * focal
     fit = CameraFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces) for o in scene]),
