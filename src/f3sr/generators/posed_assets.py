@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from f3sr.backends.model_choice import ModelChoice, Need
-from f3sr.backends.protocols import GeneratedAsset, MeshProducer, PromptedImage
+from f3sr.backends.protocols import GeneratedAsset, MeshProducer, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
-from f3sr.mesh_poses.posed_meshes import posed_meshes
+from f3sr.io.given_meshes import CameraByPoses
+from f3sr.mesh_poses.posed_meshes import camera_of, posed_meshes
 from f3sr.scene import Geometry
 
 
@@ -21,6 +22,11 @@ class PosedAssets:
     def generate(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, GeneratedAsset]:
         """Assets by id, each with what its producer tells. ``K`` (3, 3) in pixels of the photo."""
         return posed_meshes(image, geometry, K, self.producer.produce(image, geometry, K))
+
+    def camera(self, image: PromptedImage) -> CameraByPoses | None:
+        """What meshes tell of their camera that are made before geometry is known; None of others."""
+        made: Callable[[PromptedImage], Mapping[int, ProducedMesh]] | None = getattr(self.producer, "made", None)
+        return camera_of(image, made(image)) if made else None
 
     @property
     def provenance(self) -> Mapping[str, str]:

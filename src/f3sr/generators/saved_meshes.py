@@ -31,10 +31,14 @@ class SavedMeshes:
         return (Need(what="folder", met=self.folder is not None, found=str(self.folder or "none"), remedy=remedy),)
 
     def produce(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, ProducedMesh]:
-        """The saved mesh of every instance, by its id; geometry and K are not needed.
+        """The saved mesh of every instance, by its id. Raises InputError likewise."""
+        del geometry, K
+        return self.made(image)
+
+    def made(self, image: PromptedImage) -> Mapping[int, ProducedMesh]:
+        """The same before any geometry is known.
 
         Raises InputError, naming the file, for one that is missing, left over or broken."""
-        del geometry, K
         if (folder := self.folder) is None:
             raise InputError("assets back end saved", found="no folder", accepted=f"saved:DIR with {ONE_EACH}")
         names = [

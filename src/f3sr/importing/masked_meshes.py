@@ -19,9 +19,6 @@ from f3sr.importing.imported_folder import IMPORTED, as_json, grey, photo_name
 from f3sr.importing.mesh_matching import matched
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.masks import MIN_PIXELS
-from f3sr.io.pose_conventions import all_conventions
-from f3sr.mesh_poses.camera_by_poses import camera_by_poses
-from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.scene import Photo
 from f3sr.segmentation.input_folder_writer import mask_name
 from f3sr.segmentation.selection import Selection, told_apart
@@ -41,7 +38,7 @@ class MaskedMeshes:
     """(H, W): what is seen of their support, by its colours."""
     meshes: Mapping[int, FoundMesh]
     focal: float | None = None
-    """[px], where the user tells it, or masks and poses do; K of a point map is its own."""
+    """[px], where the user tells it; K of a point map is its own."""
     remarks: tuple[str, ...] = ()
 
     @property
@@ -60,7 +57,6 @@ def with_masks(found: FoundMeshes, masks: Masks, source: ImportSource) -> Masked
     names = matched(source.path, {id: o.label for id, o in masks.items()}, list(by_name), in_order=source.in_order)
     meshes = {id: by_name[name] for id, name in sorted(names.items())}
     apart, ground = _apart(found.photo.photo, masks)
-    focal, how = _focal(found, meshes, apart, source)
     return MaskedMeshes(
         found=found,
         photo=found.photo.data,
@@ -68,29 +64,19 @@ def with_masks(found: FoundMeshes, masks: Masks, source: ImportSource) -> Masked
         masks=apart,
         ground=ground,
         meshes=meshes,
-        focal=focal,
-        remarks=(*found.remarks, *how),
+        focal=_focal(found, source),
+        remarks=found.remarks,
     )
 
 
-def _focal(
-    found: FoundMeshes, meshes: Mapping[int, FoundMesh], masks: Mapping[int, NDArray[np.bool_]], source: ImportSource
-) -> tuple[float | None, tuple[str, ...]]:
-    """The focal length [px] to write, if any, and how it is known. EXIF stays in the photo, where it is read later."""
+def _focal(found: FoundMeshes, source: ImportSource) -> float | None:
+    """The focal length [px] that the user tells. EXIF stays in the photo and poses in their files: both are read later,
+    each with its error."""
     assert found.photo is not None
-    if known := source.hints.known_focal(found.photo.photo):
-        if found.points is not None:
-            raise InputError(known.source, found="a point map, which has its own", accepted="only without a point map")
-        return known.pixels, ()
-    poses = {id: m.pose.given for id, m in meshes.items() if m.pose is not None}
-    if found.points is not None or found.photo.focal or len(poses) < len(meshes):
-        return None, ()
-    places = CandidatePlaces.of_poses(poses, all_conventions())
-    camera = camera_by_poses(masks, {id: m.mesh for id, m in meshes.items()}, places, units=False)
-    if camera is None:
-        return None, ()
-    focal, sigma = camera.focal.pixels, camera.focal.sigma
-    return focal, (f"focal length {focal:.0f} px +- {100 * sigma:.0f} %: fitted to masks and poses",)
+    known = source.hints.known_focal(found.photo.photo)
+    if known and found.points is not None:
+        raise InputError(known.source, found="a point map, which has its own", accepted="only without a point map")
+    return known.pixels if known else None
 
 
 def _apart(photo: Photo, masks: Masks) -> tuple[dict[int, NDArray[np.bool_]], NDArray[np.bool_]]:

@@ -280,8 +280,16 @@ class _Parts:
         return replace(image, focal=focal, camera_height=self.hints.camera_height, upward=upward)
 
     def _camera_by_poses(self, image: PromptedImage) -> CameraByPoses | None:
-        posed = self.has("assets", "assets") and not has_unplaced_meshes(self.folder)
-        return self.placer.camera(image, self.meshes) if posed and self.placer else None
+        if self.has("assets", "assets") and not has_unplaced_meshes(self.folder):
+            return self.placer.camera(image, self.meshes) if self.placer else None
+        maker = self._placing if self.has("assets", "assets") else self.fillers.assets
+        tells = getattr(maker and maker.made, "camera", None)
+        return maker.asked(lambda made: made.camera(image)) if maker and tells else None
+
+    @property
+    def _placing(self) -> Backend[Any] | None:
+        """What places the folder's meshes that come with a file each."""
+        return self.stand_ins.places(self.folder.path("assets")) if self.stand_ins.places else None
 
     def require_taken(self, photo: Photo, geometry: Geometry, K: Array) -> None:
         """Raises InputError for a hint that the back end does without."""
@@ -346,8 +354,8 @@ class _Parts:
             return assets_of(self.folder, standing_in, image, geometry, K, fallback=True)
         if not given:
             raise InputError(self.folder.path("assets"), found="no assets", accepted=ASSETS_ACCEPTED)
-        if self.stand_ins.places and has_unplaced_meshes(self.folder):
-            places = self._standing_in(self.stand_ins.places(self.folder.path("assets")))
+        if has_unplaced_meshes(self.folder) and (placing := self._placing):
+            places = self._standing_in(placing)
             return assets_of(self.folder, places, image, geometry, K, saved=True)
         place = None if self.placer is None else partial(self.placer.place, image, geometry, K)
         return placed_assets(self.folder, self.meshes, self.masks, place)

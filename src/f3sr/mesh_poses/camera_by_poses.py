@@ -41,7 +41,11 @@ class CameraByPosesConfig:
     most: float = 0.2
     """Mean distance of the edges [diagonals of the masks' boxes] above which the poses are those of another photo."""
     alike: float = 1.2
-    """Readings whose edges are farther by no more than this factor are as likely as the best one."""
+    """Readings whose edges are farther by no more than this factor are compared by silhouettes."""
+    compared: int = 8
+    """Most readings that are, the nearest first."""
+    tied: float = 1.1
+    """Readings that miss no more of the masks than this factor are as likely as the best one."""
     unusual: float = 0.8
     """Of the distance by the usual unit, the most that another unit may leave."""
     alone: float = 0.1
@@ -83,35 +87,26 @@ def camera_by_poses(
     photo's middle. None where no camera shows the meshes near their masks. The likeliest reading of the places counts,
     and the likeliest unit of the files where ``units`` are unknown.
 
-    Boxes choose the reading: where a mesh's has an edge at x (over its depth), its mask has one at f x from the middle.
+    Boxes sieve the readings: where a mesh's has an edge at x (over its depth), its mask has one at f x from the middle.
     f is the weighted median of all ratios, the likeliest one where distances of edges are double exponential. From
-    there silhouettes tell f: it has the least mean of 1 - IoU. The jackknife over objects gives its standard error."""
-    edges = _edges(masks, places.ids, config)
-    if not len(edges.place):
+    there silhouettes tell f: it has the least mean of 1 - IoU. The jackknife over objects gives its standard error.
+    Of readings that miss as little the first counts, which is the documented one."""
+    alike = _sieved(masks, meshes, places, config, units=units)
+    if not alike:
         return None
-    light = [outline_mesh(meshes[id], config.max_faces).vertices for id in places.ids]
-    found, longest = list[_Reading](), max(masks[places.ids[0]].shape)
-    for k in range(len(places)):
-        for unit in DEFAULT_OUTLINES.units if units else (1.0,):
-            boxes = _boxes(light, places, k, unit)
-            if boxes is not None:
-                away, focal = _fitted(edges, boxes[edges.owner, edges.which])
-                if MIN_FOCAL <= focal / longest <= MAX_FOCAL:
-                    found.append(_Reading(away if unit == 1.0 else away / config.unusual, focal, k, unit))
-    best = min(found, default=None)
-    if best is None or best.away > config.most:
-        return None
-    alike = [r for r in found if r.away <= config.alike * best.away]
-    pixels, error = _by_silhouettes(masks, meshes, places, best, config)
-    sigma = math.hypot(error, max(abs(math.log(r.focal / best.focal)) for r in alike), config.step)
-    focal = KnownFocal(pixels=pixels, sigma=sigma, source="the poses of the meshes")
-    axes = places.R[best.k]
+    fits = [_by_silhouettes(masks, meshes, places, reading, config) for reading in alike]
+    most = config.tied * min(fit.missed for fit in fits)
+    tied = [k for k, fit in enumerate(fits) if fit.missed <= most]
+    taken = min(tied, key=lambda k: (alike[k].k, alike[k].unit != 1.0))
+    apart = max(abs(math.log(fits[k].focal / fits[taken].focal)) for k in tied)
+    sigma = math.hypot(fits[taken].error, apart, config.step)
+    focal = KnownFocal(pixels=fits[taken].focal, sigma=sigma, source="the poses of the meshes")
+    is_certain = len(tied) == 1 or alike[taken].k == 0
     upward = [
         -stable_normals(meshes[id].hull, meshes[id].center_of_mass) @ R.T
-        for id, R in zip(places.ids, axes, strict=True)
+        for id, R in zip(places.ids, places.R[alike[taken].k], strict=True)
     ]
-    certain = all(np.allclose(places.R[r.k], axes) for r in alike)
-    return CameraByPoses(focal=focal, upward=tuple(upward) if certain else ())
+    return CameraByPoses(focal=focal, upward=tuple(upward) if is_certain else ())
 
 
 class _Reading(NamedTuple):
@@ -123,41 +118,79 @@ class _Reading(NamedTuple):
     unit: float
 
 
+class _Fit(NamedTuple):
+    """What silhouettes miss of the masks, the mean of 1 - IoU, with which focal length [px], and the standard error of
+    its logarithm."""
+
+    missed: float
+    focal: float
+    error: float
+
+
+def _sieved(
+    masks: Mapping[int, Mask],
+    meshes: Mapping[int, Mesh],
+    places: CandidatePlaces,
+    config: CameraByPosesConfig,
+    *,
+    units: bool,
+) -> list[_Reading]:
+    """The readings whose boxes are nearly as near to the masks' as the nearest, which come first, each way of turning
+    the meshes once; none where all are far."""
+    edges = _edges(masks, places.ids, config)
+    if not len(edges.place):
+        return []
+    light = [outline_mesh(meshes[id], config.max_faces).vertices for id in places.ids]
+    found, longest = list[_Reading](), max(masks[places.ids[0]].shape)
+    for k in range(len(places)):
+        for unit in DEFAULT_OUTLINES.units if units else (1.0,):
+            boxes = _boxes(light, places, k, unit)
+            if boxes is not None:
+                away, focal = _fitted(edges, boxes[edges.owner, edges.which])
+                if MIN_FOCAL <= focal / longest <= MAX_FOCAL:
+                    found.append(_Reading(away if unit == 1.0 else away / config.unusual, focal, k, unit))
+    most = min(config.alike * min((r.away for r in found), default=0.0), config.most)
+    distinct = dict[bytes, _Reading]()
+    for r in sorted(found):
+        if r.away <= most:
+            distinct.setdefault(np.round(places.R[r.k], 6).tobytes(), r)
+    return list(distinct.values())[: config.compared]
+
+
 def _by_silhouettes(
     masks: Mapping[int, Mask],
     meshes: Mapping[int, Mesh],
     places: CandidatePlaces,
-    best: _Reading,
+    reading: _Reading,
     config: CameraByPosesConfig,
-) -> tuple[float, float]:
-    """The focal length [px] by whole silhouettes in one reading, and the standard error of its logarithm."""
-    R, t, scales = places.R[best.k], places.t[best.k], best.unit * places.scale[best.k]
+) -> _Fit:
+    """One reading with its best focal length."""
+    R, t, scales = places.R[reading.k], places.t[reading.k], reading.unit * places.scale[reading.k]
     middles = np.array([meshes[id].bounds.mean(0) for id in places.ids])
     depth = np.median((scales[:, None] * np.einsum("nij,nj->ni", R, middles) + t)[:, 2])
     t, scales = t / depth, scales / depth  # a unit in which nothing is too near to be drawn
     h, w = masks[places.ids[0]].shape
-    middle = Camera(
-        width=w, height=h, K=np.array([[1.0, 0, w / 2], [0, 1, h / 2], [0, 0, 1]]), T_world_camera=np.eye(4)
-    )
-    outlines = [MaskOutline.of(masks, middle, id, meshes[id], DEFAULT_OUTLINES) for id in places.ids]
+    K = np.array([[1.0, 0, w / 2], [0, 1, h / 2], [0, 0, 1]])
+    unzoomed = Camera(width=w, height=h, K=K, T_world_camera=np.eye(4))
+    outlines = [MaskOutline.of(masks, unzoomed, id, meshes[id], DEFAULT_OUTLINES) for id in places.ids]
 
     def missed(focal: float) -> Array:
-        zoom = np.array([[focal, 1, 1], [1, focal, 1], [1, 1, 1]])
-        zoomed = (replace(o, K=o.K * zoom) for o in outlines)
+        zoomed = (replace(o, K=o.K * [[focal, 1, 1], [1, focal, 1], [1, 1, 1]]) for o in outlines)
         return np.array([o.missed(R[v], t[v], float(scales[v])) for v, o in enumerate(zoomed)])
 
     steps = np.arange(-config.reach, config.reach + config.step / 2, config.step)
 
-    def compared(focal: float, rounds: int) -> tuple[float, float]:
+    def compared(focal: float, rounds: int) -> _Fit:
         table = np.stack([missed(focal * zoom) for zoom in np.exp(steps)], axis=1)
         least = int(np.argmin(table.sum(0)))
         found = focal * math.exp(steps[least])
         if rounds > 1 and least in (0, len(steps) - 1):
             return compared(found, rounds - 1)
         left_out, n = steps[np.argmin(table.sum(0) - table, axis=1)], len(outlines)
-        return found, math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()) if n > 1 else config.alone
+        spread = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum())
+        return _Fit(missed=float(table[:, least].mean()), focal=found, error=spread if n > 1 else config.alone)
 
-    return compared(best.focal, config.rounds)
+    return compared(reading.focal, config.rounds)
 
 
 def _edges(masks: Mapping[int, Mask], ids: tuple[int, ...], config: CameraByPosesConfig) -> _Edges:

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from f3sr.backends.protocols import GeneratedAsset, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
+from f3sr.io.given_meshes import CameraByPoses
 from f3sr.io.pose_conventions import SAM3D, all_conventions
+from f3sr.mesh_poses.camera_by_poses import camera_by_poses
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.placed_by_reading import asset_of, placed_by_reading
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
@@ -33,15 +35,25 @@ def posed_meshes(
     tell. Every asset says how it got its pose, and whether that is in doubt.
     """
     view = MaskedPhoto.of(image, geometry, K)
-    poses = {id: m.pose for id, m in meshes.items() if m.pose is not None}
-    if len(poses) == len(meshes):
-        places = CandidatePlaces.of_poses(poses, all_conventions())
-        # A producer's scale is that of its own mesh file: the two have one unit.
+    if (places := _readings(meshes)) is not None:
         votes = voted(view, {id: m.mesh for id, m in meshes.items()}, places, units=False, search=search)
         if votes.usable:
             return _as_read(view, votes, meshes)
     ranked = poses_by_masks(view, meshes, search)
     return {id: _by_mask(view, ranked[id], meshes[id].told) for id in ranked}
+
+
+def camera_of(image: PromptedImage, meshes: Mapping[int, ProducedMesh]) -> CameraByPoses | None:
+    """What meshes of a generator tell of their camera, where all have poses; None where they do not."""
+    places = _readings(meshes)
+    masks, shapes = {i.id: i.mask for i in image.instances}, {id: m.mesh for id, m in meshes.items()}
+    return None if places is None else camera_by_poses(masks, shapes, places, units=False)
+
+
+def _readings(meshes: Mapping[int, ProducedMesh]) -> CandidatePlaces | None:
+    """All readings of the poses, of which a producer's scale is that of its own file; None where a mesh has none."""
+    poses = {id: m.pose for id, m in meshes.items() if m.pose is not None}
+    return CandidatePlaces.of_poses(poses, all_conventions()) if len(poses) == len(meshes) else None
 
 
 def _as_read(view: MaskedPhoto, votes: Votes, meshes: Mapping[int, ProducedMesh]) -> Mapping[int, GeneratedAsset]:
