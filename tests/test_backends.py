@@ -318,6 +318,9 @@ GEOMETRY: dict[str, tuple[Callable[[EstimatedGeometry], Any], str]] = {
     "K of NaN": (lambda g: replace(g, K=np.nan * g.K), "K ="),
     "K of words": (lambda g: replace(g, K=np.array([["f"] * 3] * 3)), "K of shape"),
     "K normalised": (lambda g: replace(g, K=g.K / [[192], [144], [1]]), "K ="),
+    "an error of the ground below zero": (lambda g: replace(g, up_error=-1.0), "an error of -1 rad"),
+    "an error that is none": (lambda g: replace(g, focal_error=float("nan")), "an error of nan"),
+    "an error in words": (lambda g: replace(g, focal_error="1 %"), "an answer with str"),
     "normals of another size": (lambda g: replace(g, normals=np.zeros((3, 3, 3))), "normals of shape"),
 }
 

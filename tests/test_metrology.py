@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, TiffImagePlugin
 from PIL.ExifTags import IFD, Base
 
-from f3sr.backends.protocols import KnownFocal, PromptedImage
+from f3sr.backends.protocols import CameraByPoses, KnownFocal, PromptedImage
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.errors import InputError
 from f3sr.io.exif import FILM_DIAGONAL, ExifError, focal_by_exif
@@ -174,6 +174,33 @@ def test_the_ground_plane_lies_below_the_camera_as_high_as_told(
     points = made.points[made.valid].astype(float)
     normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
     np.testing.assert_allclose(np.abs(points @ normal), 1.25, rtol=1e-5)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.01, 0.1])
+def test_of_exif_and_poses_the_surer_one_tells_the_focal_length(
+    pictured: tuple[NDArray[np.uint8], list[NDArray[np.bool_]]], sigma: float
+):
+    told = KnownFocal(pixels=FOCAL, sigma=sigma, source="somebody")
+    posed = CameraByPoses(focal=KnownFocal(pixels=1.1 * FOCAL, sigma=0.02, source="the poses"), upward=())
+    image = PromptedImage(photo=Photo(rgb=pictured[0]), instances=(), focal=told, posed=posed)
+    made = GroundMetrology().estimate(image)
+    surer = told if sigma < 0.02 else posed.focal
+    assert f"told by {surer.source}" in made.told
+    assert made.K[0, 0] == pytest.approx(surer.pixels, rel=0.05)
+    assert made.focal_error == pytest.approx(surer.sigma, abs=0.01)
+
+
+def test_facets_of_standing_boxes_tell_up_where_a_photo_shows_nothing():
+    """Three boxes that lean by three degrees each, in a camera that nothing else tells of."""
+    rng, up = np.random.default_rng(3), attitude(PITCH, ROLL)[:, 2]
+    upward = list[Array]()
+    for yaw in (0.3, 1.0, -0.7):
+        axes = attitude(PITCH, ROLL) @ rotation_about([0, 0, 1], yaw) @ rotation_about(rng.normal(size=3), 0.05)
+        upward.append(np.concatenate([axes.T, -axes.T]))
+    blank = np.full((H, W, 3), 128, np.uint8)
+    without, found = estimate_camera(blank, [], None), estimate_camera(blank, [], None, upward=upward)
+    assert math.degrees(math.acos(without.up @ up)) > 5 and tilt_of(found) < 3
+    assert found.errors[1] < 0.3 * without.errors[1]
 
 
 def test_likelihoods_do_not_depend_on_order_ends_or_quarter_turns():

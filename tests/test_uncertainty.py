@@ -141,6 +141,14 @@ def test_a_sensor_makes_distances_certain(pile: Scene):
         assert sensor[id].along_ray < estimate[id].along_ray <= unknown[id].along_ray * 1.001
 
 
+def test_an_unsure_focal_length_makes_sizes_uncertain(pile: Scene):
+    known = measured(pile, "estimate")
+    assert known.geometry is not None
+    unsure = replace(known, geometry=replace(known.geometry, focal_error=0.1))
+    one, other = uncertainty(known)[1].poses, uncertainty(unsure)[1].poses
+    assert all(other[id].size > 1.03 * one[id].size for id in one)
+
+
 def test_contact_makes_heights_certain(pile: Scene):
     """A box that hangs in the air is known less than one that stands."""
     flat = replace(pile, ground=Ground(height_error=1e-4, tilt_error=1e-4))

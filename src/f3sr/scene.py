@@ -99,6 +99,8 @@ class Geometry:
     """Standard deviation of its depths [share of the distance], where a user gives it."""
     up_error: float | None = None
     """Two standard errors of the ground's normal [rad], where an estimator tells them."""
+    focal_error: float | None = None
+    """One standard error of the logarithm of the focal length, likewise."""
     guessed_unit: bool = False
     """Whether it claims no metres: known lengths and usual sizes may change its unit."""
     zooms: tuple[float, ...] = ()

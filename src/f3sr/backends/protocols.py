@@ -47,6 +47,16 @@ class EstimatedNormals:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class CameraByPoses:
+    """What meshes posed in a camera tell of it."""
+
+    focal: KnownFocal
+    upward: tuple[Array, ...]
+    """Of each mesh: directions (m, 3) against gravity if it rests on one of its m stable facets. Empty where the
+    meshes' axes are in doubt."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PromptedImage:
     """A photo and what is outlined in it."""
 
@@ -61,8 +71,8 @@ class PromptedImage:
     """Of the camera above the ground [m], where the user gives it; likewise."""
     normals: EstimatedNormals | None = None
     """Of a network, only for estimators whose ``takes_normals`` is true."""
-    upward: tuple[Array, ...] = ()
-    """Of each mesh posed in the camera: directions (m, 3) against gravity if it rests on one of its m stable facets."""
+    posed: CameraByPoses | None = None
+    """What the folder's meshes tell of the camera, for the built-in metrology: networks know their own."""
 
 
 Stroke = tuple[tuple[float, float], ...]
@@ -136,6 +146,8 @@ class EstimatedGeometry:
     That of points of the ground only always does."""
     up_error: float | None = None
     """Two standard errors of the ground's normal [rad], where they are known: they show in no point of a plane."""
+    focal_error: float | None = None
+    """One standard error of the logarithm of the focal length, likewise."""
     told: str = ""
     """What it rests on, for the report."""
 

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from f3sr.backends.model_choice import ModelChoice, Need
-from f3sr.backends.protocols import GeneratedAsset, MeshProducer, ProducedMesh, PromptedImage
+from f3sr.backends.protocols import CameraByPoses, GeneratedAsset, MeshProducer, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
-from f3sr.io.given_meshes import CameraByPoses
 from f3sr.mesh_poses.posed_meshes import camera_of, posed_meshes
 from f3sr.scene import Geometry
 
@@ -25,8 +24,15 @@ class PosedAssets:
 
     def camera(self, image: PromptedImage) -> CameraByPoses | None:
         """What meshes tell of their camera that are made before geometry is known; None of others."""
-        made: Callable[[PromptedImage], Mapping[int, ProducedMesh]] | None = getattr(self.producer, "made", None)
-        return camera_of(image, made(image)) if made else None
+        return camera_of(image, self._made(image)) if self._made else None
+
+    @property
+    def tells_camera(self) -> bool:
+        return self._made is not None
+
+    @property
+    def _made(self) -> Callable[[PromptedImage], Mapping[int, ProducedMesh]] | None:
+        return getattr(self.producer, "made", None)
 
     @property
     def provenance(self) -> Mapping[str, str]:

@@ -67,16 +67,17 @@ def geometry_of(
     normals = None if answer.normals is None else _array(where, "normals", answer.normals, "f", (*valid.shape, 3))
     K = checked_K(where, _array(where, "K", answer.K, "fiu", (3, 3)).astype(float), image.photo)
     geometry = estimated(folder, where, points, valid, normals, np.eye(3))
-    folder.digests[f"geometry by {backend.key}"] = _digest(points, valid, normals, K, answer.up_error)
+    folder.digests[f"geometry by {backend.key}"] = _digest(
+        points, valid, normals, K, answer.up_error, answer.focal_error
+    )
     if _typed(where, answer.ground_only, bool):
         geometry = replace(geometry, source="ground", guessed_unit=True)
     elif _typed(where, answer.guessed_unit, bool):
         geometry = replace(geometry, guessed_unit=True)
     if answer.up_error is not None:
-        up_error = _number(where, answer.up_error)
-        if not 0 <= up_error <= math.pi:
-            _refuse(where, f"an error of {up_error:g} rad", "0 to pi")
-        geometry = replace(geometry, up_error=up_error)
+        geometry = replace(geometry, up_error=_error(where, answer.up_error, " rad"))
+    if answer.focal_error is not None:
+        geometry = replace(geometry, focal_error=_error(where, answer.focal_error))
     told = _told(where, answer.told)
     folder.decide(f"geometry: estimated by {where}{told and ': '}{told}", ABSENT, fallback=fallback)
     tell_stretch(folder, geometry, image.photo)
@@ -98,15 +99,21 @@ def normals_of(
     if not (np.isclose(lengths, 1, atol=UNIT) | (lengths == 0)).all():  # NaN is neither
         worst = float(lengths[~np.isclose(lengths, 1, atol=UNIT)][0])
         _refuse(where, f"a normal of length {worst:.3g}", "unit vectors, or zero where unknown")
-    error = _number(where, answer.error)
-    if not 0 <= error <= math.pi:
-        _refuse(where, f"an error of {error:g} rad", "0 to pi")
+    error = _error(where, answer.error, " rad")
     folder.digests[f"normals by {backend.key}"] = _digest(values, error)
     told, warning = _told(where, answer.told), _told(where, answer.warning)
     folder.decide(f"normals: estimated by {where}{told and ': '}{told}", "named by the user")
     if warning:
         folder.decide("normals: their axes are doubtful", warning, fallback=True)
     return replace(answer, values=values, error=error)
+
+
+def _error(where: str, value: object, unit: str = "") -> float:
+    """A standard error that a back end tells."""
+    error = _number(where, value)
+    if not 0 <= error <= math.pi:
+        _refuse(where, f"an error of {error:g}{unit}", "0 to pi")
+    return error
 
 
 def with_normals(geometry: Geometry, normals: EstimatedNormals) -> Geometry:

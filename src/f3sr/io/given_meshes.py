@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from f3sr.backends.protocols import GeneratedAsset, KnownFocal, PromptedImage
+from f3sr.backends.protocols import CameraByPoses, GeneratedAsset, PromptedImage
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array
 from f3sr.io.sam3d import AssetPose
@@ -38,15 +38,6 @@ class PlacedMeshes:
 
     assets: Mapping[int, GeneratedAsset]
     decisions: tuple[Decision, ...] = ()
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CameraByPoses:
-    """What meshes posed in a camera tell of it."""
-
-    focal: KnownFocal
-    upward: tuple[Array, ...]
-    """As a ``PromptedImage`` has it; empty where the meshes' axes are in doubt."""
 
 
 class MeshPlacer(Protocol):

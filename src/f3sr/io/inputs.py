@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr.backends.protocols import (
     AssetGenerator,
+    CameraByPoses,
     GeometryEstimator,
     KnownFocal,
     Labeler,
@@ -47,7 +48,7 @@ from f3sr.io.geometry import (
     read_geometry,
     read_intrinsics,
 )
-from f3sr.io.given_meshes import CameraByPoses, GivenMeshes, MeshPlacer
+from f3sr.io.given_meshes import GivenMeshes, MeshPlacer
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
 from f3sr.io.images import as_rgb, exif_orientation, open_image
 from f3sr.io.input_folder import InputFolder
@@ -257,8 +258,8 @@ class _Parts:
         return self.has("geometry", *DEPTH_FILES) and not any(map(self.folder.has, ("geometry.npz", INTRINSICS)))
 
     def hinted(self, image: PromptedImage, by_exif: KnownFocal | str | None) -> PromptedImage:
-        """With what is known of the camera, where it has to be found: by the user, by intrinsics.json, else by EXIF or
-        by the poses of the meshes, whichever is surer. Poses also tell which way is up.
+        """With what is known of the camera, where it has to be found: by the user, intrinsics.json, or EXIF; and by the
+        poses of meshes.
 
         Raises InputError for hints that nothing asks for."""
         given = self.has("geometry", *GEOMETRY_FILES)
@@ -272,18 +273,16 @@ class _Parts:
             focal = read_intrinsics(self.folder, image.photo)
         if not focal and isinstance(by_exif, str):
             self.folder.decide("EXIF ignored", by_exif, fallback=True)
-        by_poses = self._camera_by_poses(image)
-        if not focal:
-            told = [f for f in (by_exif, by_poses and by_poses.focal) if isinstance(f, KnownFocal)]
-            focal = min(told, key=lambda f: f.sigma, default=None)
-        upward = by_poses.upward if by_poses else ()
-        return replace(image, focal=focal, camera_height=self.hints.camera_height, upward=upward)
+        elif not focal:
+            focal = by_exif
+        posed = self._camera_by_poses(image)
+        return replace(image, focal=focal, camera_height=self.hints.camera_height, posed=posed)
 
     def _camera_by_poses(self, image: PromptedImage) -> CameraByPoses | None:
         if self.has("assets", "assets") and not has_unplaced_meshes(self.folder):
             return self.placer.camera(image, self.meshes) if self.placer else None
         maker = self._placing if self.has("assets", "assets") else self.fillers.assets
-        tells = getattr(maker and maker.made, "camera", None)
+        tells = getattr(maker and maker.made, "tells_camera", False) is True
         return maker.asked(lambda made: made.camera(image)) if maker and tells else None
 
     @property

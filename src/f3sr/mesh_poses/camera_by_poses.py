@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.backends.protocols import KnownFocal
+from f3sr.backends.protocols import CameraByPoses, KnownFocal
 from f3sr.contact.stable_facets import stable_normals
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array
 from f3sr.io.geometry import MAX_FOCAL, MIN_FOCAL
-from f3sr.io.given_meshes import CameraByPoses
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import DEFAULT_OUTLINES, MaskOutline
 from f3sr.settings import constants

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.backends.protocols import GivenPose, ProducedMesh, PromptedImage
+from f3sr.backends.protocols import CameraByPoses, GivenPose, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError, printable
-from f3sr.io.given_meshes import CameraByPoses, GivenMeshes, PlacedMeshes
+from f3sr.io.given_meshes import GivenMeshes, PlacedMeshes
 from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, SignedAxes, all_conventions, camera_axes, parsed
 from f3sr.io.sam3d import AssetPose
 from f3sr.mesh_poses.camera_by_poses import camera_by_poses

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from f3sr.backends.protocols import GeneratedAsset, ProducedMesh, PromptedImage
+from f3sr.backends.protocols import CameraByPoses, GeneratedAsset, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
-from f3sr.io.given_meshes import CameraByPoses
 from f3sr.io.pose_conventions import SAM3D, all_conventions
 from f3sr.mesh_poses.camera_by_poses import camera_by_poses
 from f3sr.mesh_poses.candidate_places import CandidatePlaces

@@ -156,7 +156,7 @@ class _CameraEvidence:
     """By a network."""
     slopes: GroundNormalModel
     upward: Sequence[Array]
-    """Of posed meshes, as a ``PromptedImage`` has it."""
+    """Of posed meshes, as a ``CameraByPoses`` has it."""
     facets: FacetModel
 
     def log_posterior(self, x: Array, *, turn: float, blur: float = 0.0) -> Array:
@@ -253,7 +253,7 @@ def estimate_camera(
     """The camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
     ``focal`` is what somebody tells of the focal length, and of the principal point. ``normal`` is a network's normal
-    of the ground, in camera axes. ``upward`` is that of posed meshes, as a ``PromptedImage`` has it. The posterior is
+    of the ground, in camera axes. ``upward`` is that of posed meshes, as a ``CameraByPoses`` has it. The posterior is
     searched on a grid and then sampled; the samples' spread gives the errors."""
     evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors(), normal, upward)
     found = _posterior(evidence)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
+from f3sr.backends.protocols import EstimatedGeometry, KnownFocal, PromptedImage
 from f3sr.core.resampling import resample
 from f3sr.core.transforms import Array
 from f3sr.metrology.camera_estimate import CameraEstimate, CameraPriors, estimate_camera
@@ -40,7 +40,7 @@ class GroundMetrology:
         normal = ground_normal(image)
         camera = estimate_camera(
             photo.rgb, masks, image.ground_mask,
-            focal=image.focal, priors=self.priors, normal=normal, upward=image.upward,
+            focal=_surest(image), priors=self.priors, normal=normal, upward=image.posed.upward if image.posed else (),
         )  # fmt: skip
         x, y = (image.focal and image.focal.centre) or (photo.width / 2, photo.height / 2)
         K = np.array([[camera.focal, 0, x], [0, camera.focal, y], [0, 0, 1]])
@@ -49,9 +49,22 @@ class GroundMetrology:
         points, seen = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
         valid = seen & ~resample(union_of((i.mask for i in image.instances), photo.rgb.shape[:2]), w, h)
         told = _told(camera, image, height, normal)
-        _, pitch, roll = camera.errors
-        up_error = 2 * math.sqrt((pitch**2 + roll**2) / 2)
-        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, up_error=up_error, told=told)
+        focal_error, pitch, roll = camera.errors
+        return EstimatedGeometry(
+            points=points,
+            valid=valid,
+            K=K,
+            ground_only=True,
+            up_error=2 * math.sqrt((pitch**2 + roll**2) / 2),
+            focal_error=focal_error,
+            told=told,
+        )
+
+
+def _surest(image: PromptedImage) -> KnownFocal | None:
+    """What somebody tells of the focal length, or the poses of meshes, whichever is surer."""
+    told = [image.focal, image.posed and image.posed.focal]
+    return min((f for f in told if f), key=lambda f: f.sigma, default=None)
 
 
 def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
@@ -74,15 +87,16 @@ def _plane(
 def _told(camera: CameraEstimate, image: PromptedImage, height: float, normal: GroundNormal | None) -> str:
     degrees = math.degrees
     f, pitch, roll = camera.errors
-    known = f" (told by {image.focal.source})" if image.focal else ""
+    surest = _surest(image)
+    known = f" (told by {surest.source})" if surest else ""
     seen = ""
     if normal is not None and camera.normal_off is not None:
         error = degrees(normal.error) / 2
         seen = f" and a network's normals of the ground, {degrees(camera.normal_off):.1f} +- {error:.1f} degrees off"
     elif image.normals is not None:
         seen = "; the network's normals show no plane where the ground is"
-    if image.upward:
-        seen += f", and the stable facets of {len(image.upward)} posed meshes"
+    if image.posed and image.posed.upward:
+        seen += f", and the stable facets of {len(image.posed.upward)} posed meshes"
     over = "is, as given," if image.camera_height else "is taken to be"
     return (
         f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %{known}, pitch {degrees(camera.pitch):.1f} +- "

@@ -162,7 +162,8 @@ def _intrinsics_prior(scene: Scene, config: UncertaintyConfig) -> Array:
     if scene.has_measured_depth:
         return np.array([1.0, 1.0, 1e6])
     center = config.center * max(scene.camera.width, scene.camera.height)
-    return np.array([center, center, config.focal]) ** -2.0
+    told = scene.geometry.focal_error if scene.geometry else None
+    return np.array([center, center, max(config.focal, told or 0.0)]) ** -2.0
 
 
 def _ground_prior(scene: Scene, config: UncertaintyConfig) -> Array:
