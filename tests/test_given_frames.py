@@ -246,6 +246,41 @@ def test_poses_that_show_nothing_near_the_masks_tell_no_camera(tmp_path: Path):
     place.write_text(json.dumps(document))
     given = read_inputs(tmp_path / "in", ignore=["geometry"])
     assert not any("told by the poses" in d.choice for d in given.decisions)
+    (none,) = (d for d in given.decisions if d.choice == "camera: the poses of the meshes tell none")
+    assert none.fallback
+
+
+def test_a_declared_reading_that_looks_wrong_tells_nothing_of_gravity(tmp_path: Path):
+    """Chairs, as boxes look alike on another side: quaternions of another order than the folder declares."""
+    by_program(tmp_path / "in", replace(SAM3D, order="xyzw"))
+    place = tmp_path / "in/assets/poses.json"
+    document = json.loads(place.read_text())
+    place.write_text(json.dumps({**document, "convention": "sam-3d-objects"}))
+    given = read_inputs(tmp_path / "in", ignore=["geometry"])
+    assert any("which looks wrong" in d.choice for d in given.decisions)
+    assert not any("stable facets" in d.choice for d in given.decisions)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_objects_tell_the_focal_length_badly(count: int):
+    """Their jackknife may be zero: poses that are exact here are off by some percent elsewhere."""
+    things = boxes()[:count]
+    masks = {o.id: full_silhouette(o, camera()) for o in things}
+    places = CandidatePlaces.of_frames([o.id for o in things], [CAMERAS["opencv"]])
+    meshes = {o.id: o.mesh.with_vertices(camera().to_camera(o.vertices_world)) for o in things}
+    found = camera_by_poses(masks, meshes, places, units=False)
+    assert found is not None and found.focal.sigma > 0.1 / (count + 1)
+
+
+def test_objects_that_others_hide_on_all_sides_tell_the_focal_length_too():
+    """A wall fills the photo around a box: no edge is an object's own, and boxes say 34 px."""
+    inner = full_silhouette(boxes()[0], camera())
+    frame = ~inner
+    things = {0: boxes()[0], 1: box(1, size=(2.0, 0.01, 2.0), at=(0, 0.3, 0))}
+    places = CandidatePlaces.of_frames([0, 1], [CAMERAS["opencv"]])
+    meshes = {id: o.mesh.with_vertices(camera().to_camera(o.vertices_world)) for id, o in things.items()}
+    found = camera_by_poses({0: inner, 1: frame}, meshes, places, units=False)
+    assert found is not None and found.focal.pixels == pytest.approx(camera().K[0, 0], rel=0.3)
 
 
 @pytest.mark.parametrize("zoom", [0.5, 1.0, 4.0])

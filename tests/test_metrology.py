@@ -186,6 +186,7 @@ def test_of_exif_and_poses_the_surer_one_tells_the_focal_length(
     made = GroundMetrology().estimate(image)
     surer = told if sigma < 0.02 else posed.focal
     assert f"told by {surer.source}" in made.told
+    assert ("against 616 px +- 2 % by the poses" in made.told) == (sigma < 0.02)
     assert made.K[0, 0] == pytest.approx(surer.pixels, rel=0.05)
     assert made.focal_error == pytest.approx(surer.sigma, abs=0.01)
 

@@ -280,7 +280,11 @@ class _Parts:
 
     def _camera_by_poses(self, image: PromptedImage) -> CameraByPoses | None:
         if self.has("assets", "assets") and not has_unplaced_meshes(self.folder):
-            return self.placer.camera(image, self.meshes) if self.placer else None
+            posed = self.placer.camera(image, self.meshes) if self.placer else None
+            if self.placer and posed is None and self.meshes.poses is not None:
+                reason = "no focal length and no reading of them shows the meshes near their masks"
+                self.folder.decide("camera: the poses of the meshes tell none", reason, fallback=True)
+            return posed
         maker = self._placing if self.has("assets", "assets") else self.fillers.assets
         tells = getattr(maker and maker.made, "tells_camera", False) is True
         return maker.asked(lambda made: made.camera(image)) if maker and tells else None

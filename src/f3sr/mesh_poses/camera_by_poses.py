@@ -49,9 +49,11 @@ class CameraByPosesConfig:
     """Of the distance by the usual unit, the most that another unit may leave."""
     alone: float = 0.1
     """Standard error by a single object: its distance is not told apart from its size."""
+    worth: float = 2.0
+    """Objects that this is worth where several tell the error: the jackknife of two or three may be zero."""
     reach: float = 0.2
     """How far from the boxes' focal length silhouettes are compared, of its logarithm."""
-    rounds: int = 5
+    rounds: int = 20
     """Most comparisons, each about the best focal length of the last one where that was the last within reach."""
     step: float = 0.01
     """Step of the logarithm, and the least standard error that is told."""
@@ -62,7 +64,7 @@ DEFAULT_CAMERA_BY_POSES = CameraByPosesConfig()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Edges:
-    """The edges of masks' boxes that are the objects' own."""
+    """The edges of masks' boxes that are the objects' own; all where none is."""
 
     owner: NDArray[np.int64]
     """(e,) of the objects, in order."""
@@ -81,6 +83,7 @@ def camera_by_poses(
     config: CameraByPosesConfig = DEFAULT_CAMERA_BY_POSES,
     *,
     units: bool,
+    declared: str = "",
 ) -> CameraByPoses | None:
     """The camera in which ``places`` are given, of a photo with ``masks`` (H, W) by id. Its principal point is the
     photo's middle. None where no camera shows the meshes near their masks. The likeliest reading of the places counts,
@@ -89,18 +92,20 @@ def camera_by_poses(
     Boxes sieve the readings: where a mesh's has an edge at x (over its depth), its mask has one at f x from the middle.
     f is the weighted median of all ratios, the likeliest one where distances of edges are double exponential. From
     there silhouettes tell f: it has the least mean of 1 - IoU. The jackknife over objects gives its standard error.
-    Of readings that miss as little the first counts, which is the documented one."""
-    alike = _sieved(masks, meshes, places, config, units=units)
+    Of readings that miss as little the first counts, which is the documented one. The ``declared`` one counts anyhow;
+    where others miss less, its axes are in doubt."""
+    alike = _sieved(masks, meshes, places, config, units=units, declared=declared)
     if not alike:
         return None
     fits = [_by_silhouettes(masks, meshes, places, reading, config) for reading in alike]
     most = config.tied * min(fit.missed for fit in fits)
     tied = [k for k, fit in enumerate(fits) if fit.missed <= most]
-    taken = min(tied, key=lambda k: (alike[k].k, alike[k].unit != 1.0))
+    names = [places.names[reading.k] for reading in alike]
+    taken = names.index(declared) if declared in names else min(tied, key=lambda k: alike[k].k)
     apart = max(abs(math.log(fits[k].focal / fits[taken].focal)) for k in tied)
     sigma = math.hypot(fits[taken].error, apart, config.step)
     focal = KnownFocal(pixels=fits[taken].focal, sigma=sigma, source="the poses of the meshes")
-    is_certain = len(tied) == 1 or alike[taken].k == 0
+    is_certain = tied == [taken] or (taken in tied and (declared in names or alike[taken].k == 0))
     upward = [
         -stable_normals(meshes[id].hull, meshes[id].center_of_mass) @ R.T
         for id, R in zip(places.ids, places.R[alike[taken].k], strict=True)
@@ -133,12 +138,11 @@ def _sieved(
     config: CameraByPosesConfig,
     *,
     units: bool,
+    declared: str,
 ) -> list[_Reading]:
     """The readings whose boxes are nearly as near to the masks' as the nearest, which come first, each way of turning
-    the meshes once; none where all are far."""
+    the meshes once; none where all are far. The ``declared`` one is among them unless it is far."""
     edges = _edges(masks, places.ids, config)
-    if not len(edges.place):
-        return []
     light = [outline_mesh(meshes[id], config.max_faces).vertices for id in places.ids]
     found, longest = list[_Reading](), max(masks[places.ids[0]].shape)
     for k in range(len(places)):
@@ -148,11 +152,11 @@ def _sieved(
                 away, focal = _fitted(edges, boxes[edges.owner, edges.which])
                 if MIN_FOCAL <= focal / longest <= MAX_FOCAL:
                     found.append(_Reading(away if unit == 1.0 else away / config.unusual, focal, k, unit))
-    most = min(config.alike * min((r.away for r in found), default=0.0), config.most)
+    found = sorted(r for r in found if r.away <= config.most)
+    first = [r for r in found if places.names[r.k] == declared][:1]
     distinct = dict[bytes, _Reading]()
-    for r in sorted(found):
-        if r.away <= most:
-            distinct.setdefault(np.round(places.R[r.k], 6).tobytes(), r)
+    for r in first + [r for r in found if r.away <= config.alike * found[0].away]:
+        distinct.setdefault(np.round(places.R[r.k], 6).tobytes(), r)
     return list(distinct.values())[: config.compared]
 
 
@@ -186,14 +190,15 @@ def _by_silhouettes(
         if rounds > 1 and least in (0, len(steps) - 1):
             return compared(found, rounds - 1)
         left_out, n = steps[np.argmin(table.sum(0) - table, axis=1)], len(outlines)
-        spread = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum())
-        return _Fit(missed=float(table[:, least].mean()), focal=found, error=spread if n > 1 else config.alone)
+        jackknife = (n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()
+        variance = ((n - 1) * jackknife + config.worth * config.alone**2 / n) / (n - 1 + config.worth)
+        return _Fit(missed=float(table[:, least].mean()), focal=found, error=math.sqrt(variance))
 
     return compared(reading.focal, config.rounds)
 
 
 def _edges(masks: Mapping[int, Mask], ids: tuple[int, ...], config: CameraByPosesConfig) -> _Edges:
-    rows = list[tuple[int, int, float, float]]()
+    rows = list[tuple[tuple[int, int, float, float], bool]]()
     for v, id in enumerate(ids):
         mask, (h, w) = masks[id], masks[id].shape
         beside = max(1, round(config.beside * max(h, w) / 1000))
@@ -210,9 +215,9 @@ def _edges(masks: Mapping[int, Mask], ids: tuple[int, ...], config: CameraByPose
             last = along == (at if step < 0 else at - 1)
             over_x, over_y = (0, step) if which % 2 else (step, 0)
             beyond = others[np.clip(y[last] + over_y, 0, h - 1), np.clip(x[last] + over_x, 0, w - 1)]
-            if abs(at - border) > beside and beyond.mean() < config.hidden:
-                rows.append((v, which, float(at - (h if which % 2 else w) / 2), size))
-    table = np.array(rows).reshape(-1, 4)
+            is_own = abs(at - border) > beside and beyond.mean() < config.hidden
+            rows.append(((v, which, float(at - (h if which % 2 else w) / 2), size), is_own))
+    table = np.array([row for row, is_own in rows if is_own] or [row for row, _ in rows])
     return _Edges(owner=table[:, 0].astype(int), which=table[:, 1].astype(int), place=table[:, 2], size=table[:, 3])
 
 

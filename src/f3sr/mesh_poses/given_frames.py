@@ -47,9 +47,11 @@ class MaskPlacer:
         """The camera before which meshes show what the masks show, where they are posed; None if they are not."""
         if given.frame == UNPOSED:
             return None
-        places = _readings(given) if (declared := _declared(given)) is None else declared
         masks = {i.id: i.mask for i in image.instances}
-        return camera_by_poses(masks, given.meshes, places, units=given.poses is not None)
+        readings, declared = _readings(given), _declared(given)
+        name = declared.names[0] if declared is not None else ""
+        places = readings if declared is None or name in readings.names else declared
+        return camera_by_poses(masks, given.meshes, places, units=given.poses is not None, declared=name)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def place(self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes) -> PlacedMeshes:

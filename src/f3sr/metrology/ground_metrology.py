@@ -22,6 +22,8 @@ LONGEST = 512
 ROOM, TABLE = 1.4, 0.7
 """Height of the camera over the ground where nothing tells it [m]: a person's in a room, where the horizon is in the
 photo, and over a table, which is seen from above."""
+CONTRADICTED = 3.0
+"""Standard errors by which two focal lengths contradict each other."""
 FARTHEST = 60.0
 """Farthest ground point, in camera heights: beyond it a pixel is metres of ground."""
 
@@ -38,9 +40,11 @@ class GroundMetrology:
         unless somebody tells it."""
         photo, masks = image.photo, [i.mask for i in image.instances]
         normal = ground_normal(image)
+        focals = _known_focals(image)
         camera = estimate_camera(
             photo.rgb, masks, image.ground_mask,
-            focal=_surest(image), priors=self.priors, normal=normal, upward=image.posed.upward if image.posed else (),
+            focal=focals[0] if focals else None, priors=self.priors, normal=normal,
+            upward=image.posed.upward if image.posed else (),
         )  # fmt: skip
         x, y = (image.focal and image.focal.centre) or (photo.width / 2, photo.height / 2)
         K = np.array([[camera.focal, 0, x], [0, camera.focal, y], [0, 0, 1]])
@@ -61,10 +65,10 @@ class GroundMetrology:
         )
 
 
-def _surest(image: PromptedImage) -> KnownFocal | None:
-    """What somebody tells of the focal length, or the poses of meshes, whichever is surer."""
+def _known_focals(image: PromptedImage) -> list[KnownFocal]:
+    """What somebody and the poses of meshes tell of the focal length, the surest first."""
     told = [image.focal, image.posed and image.posed.focal]
-    return min((f for f in told if f), key=lambda f: f.sigma, default=None)
+    return sorted((f for f in told if f), key=lambda f: f.sigma)
 
 
 def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
@@ -84,11 +88,19 @@ def _plane(
     return rays * np.where(valid, depth, 0)[..., None], valid
 
 
+def _against(other: KnownFocal, surest: KnownFocal) -> str:
+    """What another focal length says that is off the surest by more than both err."""
+    off = abs(math.log(other.pixels / surest.pixels))
+    is_against = off > CONTRADICTED * math.hypot(other.sigma, surest.sigma)
+    return f", against {other.pixels:.0f} px +- {100 * other.sigma:.0f} % by {other.source}" if is_against else ""
+
+
 def _told(camera: CameraEstimate, image: PromptedImage, height: float, normal: GroundNormal | None) -> str:
     degrees = math.degrees
     f, pitch, roll = camera.errors
-    surest = _surest(image)
-    known = f" (told by {surest.source})" if surest else ""
+    focals = _known_focals(image)
+    against = "".join(_against(other, focals[0]) for other in focals[1:])
+    known = f" (told by {focals[0].source}{against})" if focals else ""
     seen = ""
     if normal is not None and camera.normal_off is not None:
         error = degrees(normal.error) / 2
@@ -96,7 +108,8 @@ def _told(camera: CameraEstimate, image: PromptedImage, height: float, normal: G
     elif image.normals is not None:
         seen = "; the network's normals show no plane where the ground is"
     if image.posed and image.posed.upward:
-        seen += f", and the stable facets of {len(image.posed.upward)} posed meshes"
+        count = len(image.posed.upward)
+        seen += f", and the stable facets of {count} posed mesh{'es' * (count != 1)}"
     over = "is, as given," if image.camera_height else "is taken to be"
     return (
         f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %{known}, pitch {degrees(camera.pitch):.1f} +- "
