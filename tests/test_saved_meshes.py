@@ -33,6 +33,22 @@ def test_the_masks_place_them_and_the_report_says_so(folder: Path):
     assert str(folder) not in " ".join(given.fillers.values())
 
 
+def test_poses_that_are_not_used_since_one_has_none_are_told(folder: Path):
+    pose = {"convention": "sam3d", "rotation": [1, 0, 0, 0], "translation": [0, 0, 1], "scale": [1, 1, 1]}
+    for id in (2, 7):
+        answer = {"id": id, "mesh": f"{id:02d}.glb", "up": "+y", "pose": pose}
+        (folder / "assets" / f"{id:02d}.json").write_text(json.dumps(answer))
+    told = {
+        d.about: d for d in f3sr.read_inputs(folder).decisions if "its pose is not used: object 5 told none" in d.choice
+    }
+    assert set(told) == {2, 7} and all(d.fallback for d in told.values())
+
+
+def test_axes_of_the_user_are_refused_where_files_tell_them(folder: Path):
+    with pytest.raises(InputError, match=r"--asset-frame: found opencv; accepted: nothing where a file NN\.json"):
+        f3sr.read_inputs(folder, asset_frame="opencv")
+
+
 def test_they_may_lie_elsewhere(folder: Path):
     elsewhere = folder.parent / "meshes"
     (folder / "assets").rename(elsewhere)

@@ -358,6 +358,9 @@ class _Parts:
         if not given:
             raise InputError(self.folder.path("assets"), found="no assets", accepted=ASSETS_ACCEPTED)
         if has_unplaced_meshes(self.folder) and (placing := self._placing):
+            if self.asset_frame != "auto":
+                accepted = "nothing where a file NN.json beside each mesh tells its pose"
+                raise InputError("--asset-frame", found=self.asset_frame, accepted=accepted)
             places = self._standing_in(placing)
             return assets_of(self.folder, places, image, geometry, K, saved=True)
         place = None if self.placer is None else partial(self.placer.place, image, geometry, K)

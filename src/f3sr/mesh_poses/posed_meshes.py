@@ -14,7 +14,7 @@ from f3sr.mesh_poses.placed_by_reading import asset_of, placed_by_reading
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
 from f3sr.mesh_poses.poses_by_masks import RankedPoses, poses_by_masks
 from f3sr.mesh_poses.reading_votes import Votes, voted
-from f3sr.scene import Geometry
+from f3sr.scene import Geometry, names_of
 
 NAMED = 4
 """Most other readings that a report names."""
@@ -39,7 +39,10 @@ def posed_meshes(
         if votes.usable:
             return _as_read(view, votes, meshes)
     ranked = poses_by_masks(view, meshes, search)
-    return {id: _by_mask(view, ranked[id], meshes[id].told) for id in ranked}
+    unposed = [id for id, m in meshes.items() if m.pose is None]
+    why = f"{names_of(unposed)} told none" if unposed else "no reading of it shows what the masks show"
+    unused = {id: f"its pose is not used: {why}" for id, m in meshes.items() if m.pose}
+    return {id: _by_mask(view, found, meshes[id].told, unused.get(id, "")) for id, found in ranked.items()}
 
 
 def camera_of(image: PromptedImage, meshes: Mapping[int, ProducedMesh]) -> CameraByPoses | None:
@@ -71,7 +74,7 @@ def _as_read(view: MaskedPhoto, votes: Votes, meshes: Mapping[int, ProducedMesh]
     }
 
 
-def _by_mask(view: MaskedPhoto, ranked: RankedPoses, told: str) -> GeneratedAsset:
+def _by_mask(view: MaskedPhoto, ranked: RankedPoses, told: str, unused: str) -> GeneratedAsset:
     doubt = ranked.doubt()
-    told = "; ".join(filter(None, (told, ranked.told, doubt)))
-    return replace(asset_of(view, ranked.object, told), doubted=bool(doubt))
+    told = "; ".join(filter(None, (told, ranked.told, unused, doubt)))
+    return replace(asset_of(view, ranked.object, told), doubted=bool(doubt or unused))
