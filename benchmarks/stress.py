@@ -1,7 +1,7 @@
 """Stress: seeded scenes of towers, nested bowls, leaning planks, piles, furniture and deep overlaps through the whole
 command; and how its time grows with the number of objects.
 
-usage: python benchmarks/stress.py [CASE ...] [--seeds N ...] [--growth] [--out FOLDER]
+usage: python benchmarks/stress.py [CASE ...] [--seeds N ...] [--views VIEW ...] [--growth] [--out FOLDER]
        python benchmarks/stress.py --containers [--update] [--out FOLDER]
 Exit codes: 0 all bounds hold, 1 one does not, a run failed, or containers are worse than containers.json.
 """
@@ -22,6 +22,7 @@ import caches
 import process
 import tables
 from run import REPO
+from scene_views import USUAL, VIEWS
 
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 CONTAINERS = {"in_bowl": 3, "in_pan": 3, "in_mug": 2, "on_plate": 2, "in_crate": 2}
@@ -76,12 +77,12 @@ def main() -> int:
     if args.growth:
         return grow(args, kernels)
     rows: dict[str, Row] = {}
-    family = [(case, seed) for case, count in CONTAINERS.items() for seed in range(count)]
-    for case, seed in family if args.containers else product(args.cases, args.seeds):
-        name = f"{case}_{seed}"
+    family = [(case, seed, USUAL) for case, count in CONTAINERS.items() for seed in range(count)]
+    for case, seed, view in family if args.containers else product(args.cases, args.seeds, args.views):
+        name = named(case, seed, view)
         print(f"{name} ...", end=" ", flush=True)
         try:
-            rows[name] = one(case, seed, args.out, (kernels, proxies))
+            rows[name] = one(case, seed, view, args.out, (kernels, proxies))
             print(said(rows[name]), flush=True)
         except process.RunError as error:
             rows[name] = {"failed": str(error)}
@@ -102,11 +103,14 @@ def means(rows: Mapping[str, Row]) -> dict[str, float]:
     return {measure: fmean(row[measure] for row in rows.values()) for measure in wanted}
 
 
-def one(case: str, seed: int, out: Path, kept: Sequence[Path]) -> Row:
+def named(case: str, seed: int, view: str) -> str:
+    return f"{case}_{seed}" + (f"_{view}" if view != USUAL else "")
+
+
+def one(case: str, seed: int, view: str, out: Path, kept: Sequence[Path]) -> Row:
     """Build a case, unless that was done, reconstruct it in a process of its own and judge what came of it."""
-    data, name = out / "data", f"{case}_{seed}"
-    folder = Path(process.run(["stress_scenes.py", data, json.dumps({"case": case, "seed": seed})],
-                              out / f"{name}.built.log").answer)  # fmt: skip
+    data, name, made = out / "data", named(case, seed, view), {"case": case, "seed": seed, "view": view}
+    folder = Path(process.run(["stress_scenes.py", data, json.dumps(made)], out / f"{name}.built.log").answer)
     skip = json.loads((folder / "truth.json").read_text())["skip"]
     with caches.fresh(*kept) as cache:
         finished = process.reconstruct(
@@ -140,7 +144,7 @@ def grow(args: argparse.Namespace, kernels: Path) -> int:
     columns: dict[str, Row] = {}
     for count in args.counts:
         print(f"{count} objects ...", end=" ", flush=True)
-        columns[str(count)] = one(f"mixed_{count}", args.seeds[0], args.out, (kernels,))
+        columns[str(count)] = one(f"mixed_{count}", args.seeds[0], USUAL, args.out, (kernels,))
         print(said(columns[str(count)]), flush=True)
         _keep(args.out / "growth.json", columns)
     steps = [s for s in STAGES if any(s in c["cpu"] for c in columns.values())]
@@ -199,6 +203,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=[USUAL], metavar="VIEW", help=", ".join(VIEWS))
     parser.add_argument("--growth", action="store_true", help="only the growth table, cold")
     parser.add_argument("--containers", action="store_true", help="the family of twelve, held against containers.json")
     parser.add_argument("--update", action="store_true", help="write the means of --containers to containers.json")

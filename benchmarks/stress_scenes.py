@@ -1,7 +1,7 @@
 """Builds the input folders of the stress benchmark from a seed: analytic objects at rest, seen by our own raster, and
 their assets where a generator would put them.
 
-usage: stress_scenes.py DATA '{"case": "tower", "seed": 0}'
+usage: stress_scenes.py DATA '{"case": "tower", "seed": 0, "view": "low"}'
 writes DATA/scenes/NAME, with truth.json, and the true meshes to DATA/objects.
 """
 
@@ -25,18 +25,17 @@ import scan_things
 import stress_things
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import UP, Array, invert_pose, pose, transform
+from f3sr.core.transforms import UP, Array, invert_pose, pose, rotation_about, transform
 from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
+from scene_views import USUAL, VIEWS, View, ragged
 from stress_things import Item, Stage
 from tabletop import degrade, shapes
 from tabletop.degrade import Damage
 from tabletop.settle import settle
 
 WIDTH, HEIGHT = 960, 720
-FILLS = 0.86
-"""Share of the picture that the objects' box spans."""
 AIMED = 6
 """Times that the camera is turned to what it saw in the middle."""
 OFF_CENTER = (4.0, -3.0)
@@ -54,10 +53,11 @@ CONVENTION = "sam-3d-objects: p_opencv = s F R(q)^T A v_glb + F t"
 class Case:
     case: str
     seed: int = 0
+    view: str = USUAL
 
     @property
     def name(self) -> str:
-        return f"{self.case}_{self.seed}"
+        return f"{self.case}_{self.seed}" + (f"_{self.view}" if self.view != USUAL else "")
 
 
 def write(data: Path, case: Case) -> Path:
@@ -67,17 +67,20 @@ def write(data: Path, case: Case) -> Path:
         return folder
     for place in (folder / "masks", folder / "assets", data / "objects"):
         place.mkdir(parents=True, exist_ok=True)
-    rng = np.random.default_rng([case.seed, *case.case.encode()])
+    rng, view = np.random.default_rng([case.seed, *case.case.encode()]), VIEWS[case.view]
     stage = numbered(CASES[case.case](rng))
     edges = FINER if case.case.startswith("mixed") else FINE
     meshes = [mesh_of(item, edges) for item in stage.items]
     rest = settle(stage.items, seconds=stage.seconds)
     everything = [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, rest.T_world_object, strict=True))]
-    camera = viewpoint(stage, everything)
+    camera = viewpoint(stage, everything, view)
     seen = rasterizer.visible_ids(everything, camera)
     kept = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= stage.seen]
     write_picture(folder, [everything[k] for k in kept], [stage.items[k].label for k in kept], camera)
-    write_geometry(folder, everything, camera, stage.damage, rng)
+    if view.is_ragged:
+        roughen(folder / "masks", np.random.default_rng(case.seed))
+    if view.has_geometry:
+        write_geometry(folder, everything, camera, stage.damage, rng)
     write_assets(folder, kept, stage, everything, camera, stage.damage, case.seed)
     for new, k in enumerate(kept):
         save_glb(meshes[k], data / "objects" / f"{case.name}_{new:02d}.glb")
@@ -119,19 +122,33 @@ def object_of(id: int, mesh: Mesh, T_world_object: Array) -> SceneObject:
     )
 
 
-def viewpoint(stage: Stage, objects: Sequence[SceneObject]) -> Camera:
+def viewpoint(stage: Stage, objects: Sequence[SceneObject], view: View) -> Camera:
     """A camera before the objects, a little to the side, whose focal length fills the picture with them."""
     points = np.concatenate([o.vertices_world for o in objects])
     target = (points.min(0) + points.max(0)) / 2
     eye = np.array([target[0] + 0.18 * stage.distance, points[:, 1].min() - 0.8 * stage.distance, stage.height])
+    if view.elevation is not None or view.across is not None:
+        eye = target + moved_eye(eye - target, view, float(np.linalg.norm(np.ptp(points, axis=0))))
+    roll = pose(rotation_about([0, 0, 1], np.radians(view.roll)))
     for _ in range(AIMED):
-        T = looking(eye, target)
+        T = looking(eye, target) @ roll
         local = transform(invert_pose(T), points)
         x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
         target = transform(T, np.array([[(x.min() + x.max()) / 2, (y.min() + y.max()) / 2, 1.0]]))[0]
-    focal = FILLS * min(WIDTH / np.ptp(x), HEIGHT / np.ptp(y))
-    K = np.array([[focal, 0, WIDTH / 2 + OFF_CENTER[0]], [0, focal, HEIGHT / 2 + OFF_CENTER[1]], [0, 0, 1]])
-    return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=T)
+    width, height = (HEIGHT, WIDTH) if view.is_tall else (WIDTH, HEIGHT)
+    focal = view.fills * min(width / np.ptp(x), height / np.ptp(y))
+    K = np.array([[focal, 0, width / 2 + OFF_CENTER[0]], [0, focal, height / 2 + OFF_CENTER[1]], [0, 0, 1]])
+    return Camera(width=width, height=height, K=K, T_world_camera=T)
+
+
+def moved_eye(away: Array, view: View, size: float) -> Array:
+    """The way from objects of a ``size`` [m] to the camera, at the view's elevation and as far as it says."""
+    distance, over = float(np.linalg.norm(away)), float(np.hypot(*away[:2]))
+    elevation = np.arctan2(away[2], over) if view.elevation is None else np.radians(view.elevation)
+    if view.across is not None:
+        distance = size / 2 / np.sin(np.radians(view.across) / 2)
+    flat = np.cos(elevation) * away[:2] / over
+    return distance * np.array([*flat, np.sin(elevation)])
 
 
 def looking(eye: Array, target: Array) -> Array:
@@ -139,6 +156,16 @@ def looking(eye: Array, target: Array) -> Array:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, UP) / np.linalg.norm(np.cross(forward, UP))
     return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
+
+
+def roughen(folder: Path, rng: np.random.Generator) -> None:
+    """Give all masks of a folder ragged edges; no two share a pixel."""
+    taken: NDArray[np.bool_] | None = None
+    for path in sorted(folder.glob("*.png")):
+        mask = ragged(np.asarray(Image.open(path)) > 127, rng)
+        mask = mask if taken is None else mask & ~taken
+        taken = mask if taken is None else taken | mask
+        save_mask(path, mask)
 
 
 def background(camera: Camera, wall: float) -> tuple[Array, NDArray[np.bool_]]:
@@ -176,7 +203,7 @@ def write_geometry(
     folder: Path, objects: Sequence[SceneObject], camera: Camera, damage: Damage, rng: np.random.Generator
 ) -> None:
     """A point map with normals at half size, as wrong as a network's."""
-    small = camera.resized(WIDTH // 2, HEIGHT // 2)
+    small = camera.resized(camera.width // 2, camera.height // 2)
     points, normals, _ = surfaces(objects, small, wall_behind(objects))
     np.savez_compressed(folder / "geometry.npz", **degrade.geometry(points, normals, small, damage, rng))
 
