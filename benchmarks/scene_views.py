@@ -5,13 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
-
-RAGGED, CORRELATED = 2.5, 6.0
-"""Standard deviation of a ragged edge's place, and of the filter that correlates it along the edge [px]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class View:
@@ -48,8 +41,5 @@ VIEWS: Mapping[str, View] = {
 }
 
 
-def ragged(mask: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.bool_]:
-    """A mask (H, W) whose edge wanders."""
-    inside = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
-    noise = ndimage.gaussian_filter(rng.normal(size=mask.shape), CORRELATED)
-    return inside + RAGGED * noise / noise.std() > 0
+def scene_name(case: str, seed: int, view: str) -> str:
+    return f"{case}_{seed}" + (f"_{view}" if view != USUAL else "")

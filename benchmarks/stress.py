@@ -22,7 +22,7 @@ import caches
 import process
 import tables
 from run import REPO
-from scene_views import USUAL, VIEWS
+from scene_views import USUAL, VIEWS, scene_name
 
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 CONTAINERS = {"in_bowl": 3, "in_pan": 3, "in_mug": 2, "on_plate": 2, "in_crate": 2}
@@ -79,7 +79,7 @@ def main() -> int:
     rows: dict[str, Row] = {}
     family = [(case, seed, USUAL) for case, count in CONTAINERS.items() for seed in range(count)]
     for case, seed, view in family if args.containers else product(args.cases, args.seeds, args.views):
-        name = named(case, seed, view)
+        name = scene_name(case, seed, view)
         print(f"{name} ...", end=" ", flush=True)
         try:
             rows[name] = one(case, seed, view, args.out, (kernels, proxies))
@@ -103,13 +103,9 @@ def means(rows: Mapping[str, Row]) -> dict[str, float]:
     return {measure: fmean(row[measure] for row in rows.values()) for measure in wanted}
 
 
-def named(case: str, seed: int, view: str) -> str:
-    return f"{case}_{seed}" + (f"_{view}" if view != USUAL else "")
-
-
 def one(case: str, seed: int, view: str, out: Path, kept: Sequence[Path]) -> Row:
     """Build a case, unless that was done, reconstruct it in a process of its own and judge what came of it."""
-    data, name, made = out / "data", named(case, seed, view), {"case": case, "seed": seed, "view": view}
+    data, name, made = out / "data", scene_name(case, seed, view), {"case": case, "seed": seed, "view": view}
     folder = Path(process.run(["stress_scenes.py", data, json.dumps(made)], out / f"{name}.built.log").answer)
     skip = json.loads((folder / "truth.json").read_text())["skip"]
     with caches.fresh(*kept) as cache:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy import ndimage
 
 import container_things
 import room_things
@@ -29,13 +30,15 @@ from f3sr.core.transforms import UP, Array, invert_pose, pose, rotation_about, t
 from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
-from scene_views import USUAL, VIEWS, View, ragged
+from scene_views import USUAL, VIEWS, View, scene_name
 from stress_things import Item, Stage
 from tabletop import degrade, shapes
 from tabletop.degrade import Damage
 from tabletop.settle import settle
 
 WIDTH, HEIGHT = 960, 720
+RAGGED, CORRELATED = 2.5, 6.0
+"""Standard deviation of a ragged edge's place, and of the filter that correlates it along the edge [px]."""
 AIMED = 6
 """Times that the camera is turned to what it saw in the middle."""
 OFF_CENTER = (4.0, -3.0)
@@ -57,7 +60,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        return f"{self.case}_{self.seed}" + (f"_{self.view}" if self.view != USUAL else "")
+        return scene_name(self.case, self.seed, self.view)
 
 
 def write(data: Path, case: Case) -> Path:
@@ -156,6 +159,13 @@ def looking(eye: Array, target: Array) -> Array:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, UP) / np.linalg.norm(np.cross(forward, UP))
     return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
+
+
+def ragged(mask: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.bool_]:
+    """A mask (H, W) whose edge wanders."""
+    inside = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    noise = ndimage.gaussian_filter(rng.normal(size=mask.shape), CORRELATED)
+    return inside + RAGGED * noise / noise.std() > 0
 
 
 def roughen(folder: Path, rng: np.random.Generator) -> None:

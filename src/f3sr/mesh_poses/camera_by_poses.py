@@ -6,7 +6,7 @@ made with."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,7 +22,6 @@ from f3sr.io.geometry import MAX_FOCAL, MIN_FOCAL
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import DEFAULT_OUTLINES, MaskOutline
 from f3sr.settings import constants
-from f3sr.vision.decimated import outline_mesh
 from f3sr.vision.silhouette import Mask, union_of
 
 
@@ -30,8 +29,6 @@ from f3sr.vision.silhouette import Mask, union_of
 class CameraByPosesConfig:
     """How the edges of masks' boxes scatter about those of the meshes' boxes."""
 
-    max_faces: int = 600
-    """Most faces of a mesh here."""
     beside: int = 2
     """Distance beyond an edge in which another mask may hide the rest of the object [px per 1000 of the photo]."""
     hidden: float = 0.5
@@ -94,10 +91,14 @@ def camera_by_poses(
     there silhouettes tell f: it has the least mean of 1 - IoU. The jackknife over objects gives its standard error.
     Of readings that miss as little the first counts, which is the documented one. The ``declared`` one counts anyhow;
     where others miss less, its axes are in doubt."""
-    alike = _sieved(masks, meshes, places, config, units=units, declared=declared)
+    h, w = masks[places.ids[0]].shape
+    K = np.array([[1.0, 0, w / 2], [0, 1, h / 2], [0, 0, 1]])
+    unzoomed = Camera(width=w, height=h, K=K, T_world_camera=np.eye(4))
+    outlines = [MaskOutline.of(masks, unzoomed, id, meshes[id], DEFAULT_OUTLINES) for id in places.ids]
+    alike = _sieved(masks, outlines, places, config, units=units, declared=declared)
     if not alike:
         return None
-    fits = [_by_silhouettes(masks, meshes, places, reading, config) for reading in alike]
+    fits = [_by_silhouettes(outlines, meshes, places, reading, config) for reading in alike]
     most = config.tied * min(fit.missed for fit in fits)
     tied = [k for k, fit in enumerate(fits) if fit.missed <= most]
     names = [places.names[reading.k] for reading in alike]
@@ -105,12 +106,14 @@ def camera_by_poses(
     apart = max(abs(math.log(fits[k].focal / fits[taken].focal)) for k in tied)
     sigma = math.hypot(fits[taken].error, apart, config.step)
     focal = KnownFocal(pixels=fits[taken].focal, sigma=sigma, source="the poses of the meshes")
-    is_certain = tied == [taken] or (taken in tied and (declared in names or alike[taken].k == 0))
-    upward = [
+    is_documented = declared in names or alike[taken].k == 0
+    if taken not in tied or (len(tied) > 1 and not is_documented):
+        return CameraByPoses(focal=focal, upward=())
+    upward = (
         -stable_normals(meshes[id].hull, meshes[id].center_of_mass) @ R.T
         for id, R in zip(places.ids, places.R[alike[taken].k], strict=True)
-    ]
-    return CameraByPoses(focal=focal, upward=tuple(upward) if is_certain else ())
+    )
+    return CameraByPoses(focal=focal, upward=tuple(upward))
 
 
 class _Reading(NamedTuple):
@@ -133,7 +136,7 @@ class _Fit(NamedTuple):
 
 def _sieved(
     masks: Mapping[int, Mask],
-    meshes: Mapping[int, Mesh],
+    outlines: Sequence[MaskOutline],
     places: CandidatePlaces,
     config: CameraByPosesConfig,
     *,
@@ -143,7 +146,7 @@ def _sieved(
     """The readings whose boxes are nearly as near to the masks' as the nearest, which come first, each way of turning
     the meshes once; none where all are far. The ``declared`` one is among them unless it is far."""
     edges = _edges(masks, places.ids, config)
-    light = [outline_mesh(meshes[id], config.max_faces).vertices for id in places.ids]
+    light = [o.vertices for o in outlines]
     found, longest = list[_Reading](), max(masks[places.ids[0]].shape)
     for k in range(len(places)):
         for unit in DEFAULT_OUTLINES.units if units else (1.0,):
@@ -161,7 +164,7 @@ def _sieved(
 
 
 def _by_silhouettes(
-    masks: Mapping[int, Mask],
+    outlines: Sequence[MaskOutline],
     meshes: Mapping[int, Mesh],
     places: CandidatePlaces,
     reading: _Reading,
@@ -172,10 +175,6 @@ def _by_silhouettes(
     middles = np.array([meshes[id].bounds.mean(0) for id in places.ids])
     depth = np.median((scales[:, None] * np.einsum("nij,nj->ni", R, middles) + t)[:, 2])
     t, scales = t / depth, scales / depth  # a unit in which nothing is too near to be drawn
-    h, w = masks[places.ids[0]].shape
-    K = np.array([[1.0, 0, w / 2], [0, 1, h / 2], [0, 0, 1]])
-    unzoomed = Camera(width=w, height=h, K=K, T_world_camera=np.eye(4))
-    outlines = [MaskOutline.of(masks, unzoomed, id, meshes[id], DEFAULT_OUTLINES) for id in places.ids]
 
     def missed(focal: float) -> Array:
         zoomed = (replace(o, K=o.K * [[focal, 1, 1], [1, focal, 1], [1, 1, 1]]) for o in outlines)
@@ -198,12 +197,10 @@ def _by_silhouettes(
 
 
 def _edges(masks: Mapping[int, Mask], ids: tuple[int, ...], config: CameraByPosesConfig) -> _Edges:
-    rows = list[tuple[tuple[int, int, float, float], bool]]()
+    rows, (h, w) = list[tuple[tuple[int, int, float, float], bool]](), masks[ids[0]].shape
+    beside, covered = max(1, round(config.beside * max(h, w) / 1000)), union_of(masks.values(), (h, w))
     for v, id in enumerate(ids):
-        mask, (h, w) = masks[id], masks[id].shape
-        beside = max(1, round(config.beside * max(h, w) / 1000))
-        others = union_of((m for other, m in masks.items() if other != id), mask.shape)
-        y, x = np.nonzero(mask)
+        y, x = np.nonzero(masks[id])
         ends = [
             (x, x.min(), -beside, 0),
             (y, y.min(), -beside, 0),
@@ -214,7 +211,7 @@ def _edges(masks: Mapping[int, Mask], ids: tuple[int, ...], config: CameraByPose
         for which, (along, at, step, border) in enumerate(ends):
             last = along == (at if step < 0 else at - 1)
             over_x, over_y = (0, step) if which % 2 else (step, 0)
-            beyond = others[np.clip(y[last] + over_y, 0, h - 1), np.clip(x[last] + over_x, 0, w - 1)]
+            beyond = covered[np.clip(y[last] + over_y, 0, h - 1), np.clip(x[last] + over_x, 0, w - 1)]
             is_own = abs(at - border) > beside and beyond.mean() < config.hidden
             rows.append(((v, which, float(at - (h if which % 2 else w) / 2), size), is_own))
     table = np.array([row for row, is_own in rows if is_own] or [row for row, _ in rows])

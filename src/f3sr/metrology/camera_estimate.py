@@ -20,7 +20,7 @@ from f3sr.metrology.edges import edge_points, line_segments
 from f3sr.metrology.ellipses import Ellipse, rims
 from f3sr.metrology.posterior import PosteriorSample, sampled, weighted
 from f3sr.settings import constants, settings
-from f3sr.vision.ground_plane import GroundNormal
+from f3sr.vision.ground_plane import POSE_LEAN, GroundNormal
 
 LONGEST = 1600
 """Longer side of the photo in which edges are sought [px]: more adds noise, not directions."""
@@ -105,9 +105,8 @@ class FacetModel:
 
     strange: float = 0.3
     """Share of objects that rest on none of their facets, or lean, or whose hidden side is wrong."""
-    lean: float = math.radians(6)
-    """Standard deviation about each axis [rad]: of what rests on a facet, generated poses are off by up to ten
-    degrees."""
+    lean: float = POSE_LEAN
+    """Standard deviation about each axis [rad] of what rests on a facet."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -30,6 +30,9 @@ TRIMS = 3
 LEAN = math.radians(0.6)
 """Two standard errors of a network's normals that are alike in all places, so that no spread shows them. Not measured:
 a bound on what normals of the ground may decide, which are good to .03 degrees in the ten rendered scenes."""
+POSE_LEAN = math.radians(6)
+"""Standard deviation of the lean of a generated pose about each horizontal axis [rad], by which objects tell the
+ground's normal: up to ten degrees occur."""
 BEYOND = 3.0
 """Standard errors by which a focal length that points and normals tell may be off the given one."""
 LEAST_POINTS = 64

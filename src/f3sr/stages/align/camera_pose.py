@@ -15,6 +15,7 @@ from f3sr.scene import Geometry, Scene
 from f3sr.stages.align.config import AlignConfig
 from f3sr.vision.crop import sampled
 from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.ground_plane import POSE_LEAN
 from f3sr.vision.motion_params import CameraFreedom
 from f3sr.vision.silhouette import LossWeights, Surface, Target, union_of
 from f3sr.vision.silhouette_fit import CameraFit
@@ -25,8 +26,6 @@ PRIOR = 0.01
 """Quadratic prior on the camera's motion over its bounds: masks without evidence leave the camera where it is."""
 FOCAL_RANGE = 0.1
 """Largest change of the logarithm of the focal length."""
-LEAN = np.radians(6)
-"""Standard deviation of the lean of a generated pose about each horizontal axis [rad]: up to ten degrees occur."""
 EVIDENCE = 192
 """Longer side [px] of the image in which depths are compared with the geometry."""
 
@@ -56,7 +55,7 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     union = union_of(masks, (small.height, small.width))
     center = small.to_camera(np.mean([o.middle for o in scene], axis=0)[None])[0]
     shift = step.translation * float(np.linalg.norm(center))
-    ground, by_objects = scene.ground, LEAN / np.sqrt(len(scene.objects))
+    ground, by_objects = scene.ground, POSE_LEAN / np.sqrt(len(scene.objects))
     tilt = min(step.rotation, ground.tilt_error) if ground.tilt_error > 2 * by_objects else 0.0
     height = min(shift, ground.height_error)
     reach = [tilt, tilt, step.rotation, shift, shift, height] + [FOCAL_RANGE] * focal
