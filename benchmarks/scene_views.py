@@ -1,4 +1,4 @@
-"""How a made scene may be photographed: other cameras, masks with ragged edges, no geometry."""
+"""How a made scene may be photographed: other cameras, masks with ragged edges or missing, no geometry."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ class View:
     is_tall: bool = False
     is_ragged: bool = False
     """Masks have ragged edges, as networks draw them."""
+    misses_carrier: bool = False
+    """What carries most other objects has no mask and no asset, as one that a network overlooked."""
     has_geometry: bool = True
 
 
@@ -37,6 +39,7 @@ VIEWS: Mapping[str, View] = {
     "tall": View(is_tall=True),
     "small": View(fills=0.3),
     "ragged": View(is_ragged=True),
+    "missed": View(misses_carrier=True),
     "no_geometry": View(has_geometry=False),
 }
 

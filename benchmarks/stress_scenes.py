@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -78,8 +78,11 @@ def write(data: Path, case: Case) -> Path:
     everything = [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, rest.T_world_object, strict=True))]
     camera = viewpoint(stage, everything, view)
     seen = rasterizer.visible_ids(everything, camera)
-    kept = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= stage.seen]
-    write_picture(folder, [everything[k] for k in kept], [stage.items[k].label for k in kept], camera)
+    shown = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= stage.seen]
+    missed = most_carrying(shown, rest.supports) if view.misses_carrier else None
+    kept = [k for k in shown if k != missed]
+    labels = {k: stage.items[k].label for k in kept}
+    write_picture(folder, [everything[k] for k in shown], labels, camera)
     if view.is_ragged:
         roughen(folder / "masks", np.random.default_rng(case.seed))
     if view.has_geometry:
@@ -192,8 +195,14 @@ def wall_behind(objects: Sequence[SceneObject]) -> float:
     return WALL + max(float(o.bounds_world[1, 1]) for o in objects)
 
 
-def write_picture(folder: Path, objects: Sequence[SceneObject], labels: Sequence[str], camera: Camera) -> None:
-    """The photo, unlit as our own renders are, the masks and where the floor shows."""
+def most_carrying(among: Sequence[int], supports: Iterable[tuple[int, int]]) -> int | None:
+    """Of these objects the one that carries most others, None when none carries any."""
+    carried = Counter(b for _, b in supports if b in among)
+    return max(carried, key=lambda b: (carried[b], -b), default=None)
+
+
+def write_picture(folder: Path, objects: Sequence[SceneObject], labels: Mapping[int, str], camera: Camera) -> None:
+    """The photo, unlit as our own renders are, the masks of what has a label and where the floor shows."""
     fragments = rasterizer.render(objects, camera)
     _, on_floor = background(camera, wall_behind(objects))
     empty = fragments.ids == rasterizer.EMPTY
@@ -201,8 +210,8 @@ def write_picture(folder: Path, objects: Sequence[SceneObject], labels: Sequence
     photo[empty] = np.where(on_floor[..., None], FLOOR_COLOR, WALL_COLOR)[empty]
     Image.fromarray(np.round(255 * photo).astype(np.uint8)).save(folder / "image.png")
     save_mask(folder / "ground.png", empty & on_floor)
-    for new, (o, label) in enumerate(zip(objects, labels, strict=True)):
-        save_mask(folder / "masks" / f"{new:02d}_{label}.png", fragments.ids == o.id)
+    for new, (id, label) in enumerate(labels.items()):
+        save_mask(folder / "masks" / f"{new:02d}_{label}.png", fragments.ids == id)
 
 
 def save_mask(path: Path, mask: NDArray[np.bool_]) -> None:

@@ -15,6 +15,7 @@ from PIL import Image
 
 from f3sr import example
 from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about
 from f3sr.io import sam3d
 from f3sr.io.mesh_files import save_glb
@@ -23,6 +24,8 @@ from f3sr.vision import rasterizer
 from scenes import box
 
 WIDTH, HEIGHT = 192, 144
+FLAT = Mesh(vertices=np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), faces=np.array([[0, 1, 2], [0, 2, 3]]))
+"""A square without any thickness."""
 
 
 def camera() -> Camera:

@@ -131,7 +131,7 @@ def test_a_grown_box_is_the_box_with_every_face_further_out() -> None:
     assert len(bigger.vertices) == len(part.vertices)
 
 
-@pytest.mark.parametrize("thick", [2e-6, 1e-5, 1.9e-5])
+@pytest.mark.parametrize("thick", [2e-7, 2e-6, 1e-5, 1.9e-5])
 def test_a_sheet_thinner_than_what_counts_as_one_flat_grows_to_both_sides(thick: float):
     tilted = rotation_about((1, 2, 3), 0.7)[:3, :3]
     around = np.array([[np.cos(a), np.sin(a), 0] for a in np.linspace(0, 6, 13)]) * 2.5e-3

@@ -10,7 +10,8 @@ import pytest
 import f3sr
 from f3sr.cli.main import main
 from f3sr.errors import InputError
-from folders import write_folder
+from f3sr.io.mesh_files import save_glb
+from folders import FLAT, write_folder
 
 
 @pytest.fixture
@@ -67,6 +68,7 @@ def test_they_may_lie_elsewhere(folder: Path):
         (lambda a: (a / "05.json").write_text('{"mesh": "../../x.glb"}'), "GLB '../../x.glb'"),
         (lambda a: (a / "05.json").write_text('{"mesh": NaN}'), "no valid JSON"),
         (lambda a: (a / "05.glb").write_bytes(b"x"), "broken glTF"),
+        (lambda a: save_glb(FLAT, a / "05.glb"), "05.glb: found a flat mesh without any thickness"),
     ],
 )
 def test_a_broken_one_is_one_clear_error(spoil, told: str, folder: Path):

@@ -27,7 +27,7 @@ from f3sr.io.photo_hints import PhotoHints
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou
-from folders import boxes, camera
+from folders import FLAT, boxes, camera
 from producer_outputs import Laid
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
@@ -332,6 +332,8 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "sam3d: a link out of it": ("sam3d", lambda p: ((p / "1.glb").unlink(), (p / "1.glb").symlink_to("/etc/passwd")),
                                 "leaves the folder"),
     "sam3d: points of another shape": ("sam3d", lambda p: np.save(p / "pointmap.npy", np.zeros((4, 4))), "pointmap"),
+    "sam3d: a flat mesh": ("sam3d", lambda p: save_glb(FLAT, p / "1.glb"), "1.glb: found a flat mesh"),
+    "layout: a flat mesh": ("layout", lambda p: save_glb(FLAT, next(p.rglob("small_box.glb"))), "a flat mesh"),
     "comfyui: an object without a mesh": ("comfyui", lambda p: [f.unlink() for f in (p / "object_1").glob("*.glb")],
                                           "no mesh"),
     "comfyui: no mask": ("comfyui", lambda p: (p / "object_1" / "mask.npy").unlink(), "no such file"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
@@ -185,6 +186,8 @@ class GeneratedAsset:
     """Why physics must not move it; empty where it may."""
     lifted: bool = False
     """Whether it was made from its own mask, upright on its support: the mask then tells nothing of its tilt."""
+    file: Path | None = None
+    """The file that says where it stands, which errors name; None where the back end itself does."""
 
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -212,6 +215,8 @@ class ProducedMesh:
     """As the producer writes it; None where it gives none."""
     told: str = ""
     """Model, revision and licence, for the report."""
+    file: Path | None = None
+    """The file that tells this; None where no file is left."""
 
 
 class MeshProducer(Protocol):

@@ -37,9 +37,9 @@ def grown(part: ConvexPart, by: float, footing: Array = NO_FOOTING) -> ConvexPar
     lies in ``footing`` (4,), the plane n . x + d = 0 on which the body can stand. A sheet thinner than ``BEHIND`` grows
     to both sides alone.
     """
-    whole = ConvexPart.hull_of(_without_twins(part.vertices))
-    if sheet := _thicker(whole, by):
+    if sheet := _thicker(part, by):
         return sheet
+    whole = ConvexPart.hull_of(_without_twins(part.vertices))
     planes, touching = (np.array(each) for each in zip(*facets(whole, BEHIND * by), strict=True))
     off_footing = whole.vertices @ footing[:3] + footing[3] < -BEHIND * by
     first = np.argsort((touching & off_footing).any(1), kind="stable")

@@ -16,10 +16,10 @@ from f3sr.errors import InputError
 from f3sr.files import npz
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes, already_posed, read_points, read_pose, unread
 from f3sr.importing.import_source import ImportSource, Masks
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.images import MAX_PIXELS
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import MIN_PIXELS
-from f3sr.io.mesh_files import load_mesh
 from f3sr.io.sam3d import AssetPose
 from f3sr.segmentation.input_folder_writer import OutlinedObject
 
@@ -78,7 +78,7 @@ def _scene(source: ImportSource, objects: list[str]) -> FoundMeshes:
     for name in objects:
         file = ALIGNED if aligned else _own_mesh(place, name)
         pose = already_posed(name) if aligned else poses.get(name)
-        meshes.append(FoundMesh(name=name, mesh=load_mesh(place.file(f"{name}/{file}")), up="+y", pose=pose))
+        meshes.append(FoundMesh(name=name, mesh=load_asset_mesh(place.file(f"{name}/{file}")), up="+y", pose=pose))
     first = place.names(objects[0])
     return FoundMeshes(
         source=f"ComfyUI scene {source.path.name}",
@@ -132,6 +132,6 @@ def _files(source: ImportSource, names: list[str]) -> FoundMeshes:
     return FoundMeshes(
         source=f"ComfyUI output folder {source.path.name}",
         photo=source.photo,
-        meshes=tuple(FoundMesh(name=Path(n).stem, mesh=load_mesh(place.file(n))) for n in names),
+        meshes=tuple(FoundMesh(name=Path(n).stem, mesh=load_asset_mesh(place.file(n))) for n in names),
         remarks=unread(place.names()),
     )

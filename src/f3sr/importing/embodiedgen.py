@@ -23,8 +23,8 @@ from f3sr.importing.found_meshes import FoundMesh, FoundMeshes, unread
 from f3sr.importing.import_source import ImportSource
 from f3sr.importing.posed_in_camera import centred
 from f3sr.importing.urdf_visual import read_urdf
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.mesh_files import load_mesh
 from f3sr.io.sam3d import UNIT
 
 LAYOUT = "layout.json"
@@ -126,4 +126,4 @@ def _link_mesh(place: InputFolder, urdf: str) -> Mesh:
     """The visual mesh of a package in its link's frame, Z-up [m]: the GLB beside the file that the URDF names."""
     visual = read_urdf(place.file(urdf))
     name = str(Path(visual.mesh).with_suffix(".glb"))
-    return visual.in_link(load_mesh(place.file(name, base=str(Path(urdf).parent))))
+    return visual.in_link(load_asset_mesh(place.file(name, base=str(Path(urdf).parent))))

@@ -18,8 +18,8 @@ from f3sr.files import strict_json
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes, pose_of, unread
 from f3sr.importing.import_source import ImportSource
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.mesh_files import load_mesh
 from f3sr.io.sam3d import AssetPose
 
 LENIENT = ConfigDict(extra="ignore", allow_inf_nan=False)
@@ -79,7 +79,7 @@ def read(source: ImportSource) -> FoundMeshes:
         source=f"fal result {names[0]}",
         photo=source.photo,
         meshes=tuple(
-            FoundMesh(name=f"object_{k}", mesh=load_mesh(place.file(name)), up="+y", pose=pose)
+            FoundMesh(name=f"object_{k}", mesh=load_asset_mesh(place.file(name)), up="+y", pose=pose)
             for k, (name, pose) in enumerate(zip(files, poses, strict=True))
         ),
         remarks=unread(place.names()),

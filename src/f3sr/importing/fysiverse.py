@@ -19,9 +19,9 @@ from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.composition import ComposedObject, Composition
 from f3sr.importing.import_source import ImportSource
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.images import open_image
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.mesh_files import load_mesh
 from f3sr.io.pose_conventions import CAMERAS
 from f3sr.io.sam3d import LOCAL_FROM_GLB, UNIT
 
@@ -93,7 +93,7 @@ def read(source: ImportSource) -> Composition:
         ComposedObject(
             id=o.mask_id,
             label=o.semantic_label.replace("_", " "),
-            mesh=load_mesh(place.file(_within(place, o.web_asset_glb))),
+            mesh=load_asset_mesh(place.file(_within(place, o.web_asset_glb))),
             T_world_mesh=pose(LOCAL_FROM_GLB),
         )
         for o in session.objects

@@ -23,8 +23,8 @@ from f3sr.importing.found_meshes import (
     unread,
 )
 from f3sr.importing.import_source import PHOTO_NAMES, ImportSource, Masks, masks_named
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.mesh_files import load_mesh
 from f3sr.io.sam3d import AssetPose
 
 NUMBERED_MASK, NUMBERED_MESH = re.compile(r"[0-9]{1,6}\.png"), re.compile(r"[0-9]{1,6}\.glb")
@@ -48,7 +48,9 @@ def read(source: ImportSource) -> FoundMeshes:
     folder = _mesh_folder(place)
     names = [n for n in place.names(folder) if NUMBERED_MESH.fullmatch(n)]
     poses = _poses(place, folder, names)
-    meshes = {Path(n).stem: load_mesh(place.file(n, base=folder)) for n in sorted(names, key=lambda n: int(n[:-4]))}
+    meshes = {
+        Path(n).stem: load_asset_mesh(place.file(n, base=folder)) for n in sorted(names, key=lambda n: int(n[:-4]))
+    }
     remarks = unread([*place.names(), *(place.names(folder) if folder else [])])
     if not poses and any(abs(mesh.bounds).max() > OWN_BOX for mesh in meshes.values()):
         poses = {stem: already_posed(stem) for stem in meshes}

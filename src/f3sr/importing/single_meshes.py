@@ -11,8 +11,8 @@ from pathlib import Path
 from f3sr.errors import InputError
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes, unread
 from f3sr.importing.import_source import ImportSource
+from f3sr.io.assets import load_asset_mesh
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.mesh_files import load_mesh
 
 SAMPLE = re.compile(r"sample(_.{1,60})?\.glb")
 """What the examples and the demo pages of TRELLIS write."""
@@ -36,7 +36,7 @@ def read(source: ImportSource) -> FoundMeshes:
     return FoundMeshes(
         source=f"TRELLIS output {source.path.name}",
         photo=source.photo,
-        meshes=tuple(FoundMesh(name=_name(n), mesh=load_mesh(place.file(n)), up="+y") for n in files),
+        meshes=tuple(FoundMesh(name=_name(n), mesh=load_asset_mesh(place.file(n)), up="+y") for n in files),
         remarks=unread([*place.names(), *(f"{Path(n).parent}/{f}" for n in files for f in _beside(place, n))]),
     )
 

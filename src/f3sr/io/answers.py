@@ -259,12 +259,13 @@ def _asset(folder: InputFolder, where: str, id: int, answer: object) -> PosedAss
     if not 0 < scale <= MAX_COORDINATE:
         _refuse(where, f"scale {scale:g} of {id}", "a positive number")
     _require_mesh(f"{where}, mesh of {id}", mesh)
-    used = usable_mesh(folder, where, id, mesh)
+    source = where if asset.file is None else _typed(where, asset.file, Path)
+    used = usable_mesh(folder, source, id, mesh)
     return PosedAsset(
         mesh=used,
         T_camera_object=T,
         scale=scale,
-        source=where,
+        source=source,
         fixed=_told(where, asset.fixed),
         lifted=_typed(where, asset.lifted, bool),
     )

@@ -21,8 +21,8 @@ from f3sr.io.mesh_files import load_mesh
 
 MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
-MIN_FILL = 1e-9
-"""Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
+MIN_FILL = 1e-7
+"""Smallest volume of a mesh's hull, in cubes of its diagonal: a thread of 1 m that is .3 mm thick."""
 THIN = 1e-4
 """Spread of vertices, in diagonals, from which on a mesh surely has a hull."""
 MAX_FOLDS = 200.0
@@ -136,6 +136,13 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
     if file.suffix.lower() != ".glb":
         raise InputError(file, found=f"a file of type {file.suffix!r}", accepted="a GLB file")
     return usable_mesh(folder, file, id, load_mesh(file))
+
+
+def load_asset_mesh(path: Path) -> Mesh:
+    """The mesh of a file (``load_mesh``). Raises InputError, naming it, also for one that spans no volume."""
+    mesh = load_mesh(path)
+    require_solidity(path, mesh.without_unused())
+    return mesh
 
 
 def usable_mesh(folder: InputFolder, where: Path | str, id: int, mesh: Mesh) -> Mesh:

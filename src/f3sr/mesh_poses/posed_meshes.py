@@ -42,7 +42,7 @@ def posed_meshes(
     unposed = [id for id, m in meshes.items() if m.pose is None]
     why = f"{names_of(unposed)} told none" if unposed else "no reading of it shows what the masks show"
     unused = {id: f"its pose is not used: {why}" for id, m in meshes.items() if m.pose}
-    return {id: _by_mask(view, found, meshes[id].told, unused.get(id, "")) for id, found in ranked.items()}
+    return {id: _by_mask(view, found, meshes[id], unused.get(id, "")) for id, found in ranked.items()}
 
 
 def camera_of(image: PromptedImage, meshes: Mapping[int, ProducedMesh]) -> CameraByPoses | None:
@@ -69,12 +69,17 @@ def _as_read(view: MaskedPhoto, votes: Votes, meshes: Mapping[int, ProducedMesh]
     placed = placed_by_reading(view, votes.meshes, votes.places, taken)
     told = "; ".join((told, *(f"{d.choice.removeprefix('assets: ')}: {d.reason}" for d in placed.decisions)))
     return {
-        id: replace(asset, told="; ".join(filter(None, (meshes[id].told, told))), doubted=bool(rivals))
+        id: replace(
+            asset,
+            told="; ".join(filter(None, (meshes[id].told, told))),
+            doubted=bool(rivals),
+            file=meshes[id].file,
+        )
         for id, asset in placed.assets.items()
     }
 
 
-def _by_mask(view: MaskedPhoto, ranked: RankedPoses, told: str, unused: str) -> GeneratedAsset:
+def _by_mask(view: MaskedPhoto, ranked: RankedPoses, mesh: ProducedMesh, unused: str) -> GeneratedAsset:
     doubt = ranked.doubt()
-    told = "; ".join(filter(None, (told, ranked.told, unused, doubt)))
-    return replace(asset_of(view, ranked.object, told), doubted=bool(doubt or unused))
+    told = "; ".join(filter(None, (mesh.told, ranked.told, unused, doubt)))
+    return replace(asset_of(view, ranked.object, told), doubted=bool(doubt or unused), file=mesh.file)

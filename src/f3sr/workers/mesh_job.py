@@ -19,7 +19,7 @@ from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.files import strict_json
 from f3sr.io import sam3d
-from f3sr.io.mesh_files import load_mesh
+from f3sr.io.assets import load_asset_mesh
 from f3sr.scene import Geometry, Instance
 from f3sr.workers.job_folder import (
     IMAGE,
@@ -98,8 +98,10 @@ def read_answer(job: Path, id: int) -> ProducedMesh:
     answer = document(file, MeshAnswer)
     if answer.id is not None and answer.id != id:
         raise InputError(file, found=f"an answer for object {answer.id}", accepted=f"one for object {id}")
-    mesh = large_file(file, answer.mesh, ".glb", "a GLB", most=MAX_MESH_BYTES)
-    return ProducedMesh(mesh=load_mesh(mesh), up=answer.up, pose=_pose(file, answer.pose), told=answer.told)
+    glb = large_file(file, answer.mesh, ".glb", "a GLB", most=MAX_MESH_BYTES)
+    return ProducedMesh(
+        mesh=load_asset_mesh(glb), up=answer.up, pose=_pose(file, answer.pose), told=answer.told, file=file
+    )
 
 
 def discard(job: Path, id: int) -> None:
