@@ -15,7 +15,7 @@ from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics import contact_groups
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.metrics.measures import visible_ious
-from f3sr.scene import GeometrySource, Scene
+from f3sr.scene import GROUND, GeometrySource, Scene
 from f3sr.stages.refine import HOPELESS, RETURNS, UNSEEN, RefineConfig, Refined, Retries, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
@@ -632,6 +632,20 @@ def test_what_geometry_holds_counts_for_half_of_all():
     after, outcome = retried(start, NO_ROUND, aligned=seen, parted=start, held=held_as_seen)
     assert [o.id for o in after if o.mobility == "fixed"] == [2, 3]
     assert outcome.decisions[-1].choice.endswith("none") and "too many" in outcome.decisions[-1].reason
+
+
+@pytest.mark.parametrize(("supported_by", "most"), [(None, 1), (GROUND, 2)])
+def test_more_than_half_may_be_held_where_one_stands_on_the_ground_as_seen(supported_by: int | None, most: int):
+    seen = side_by_side()
+    seen = seen.with_objects(seen[2].on_something_unseen(), replace(seen[3], supported_by=supported_by))
+    asked = list[int]()
+
+    def held(before: Scene, *, start: Scene, moving: frozenset[int], most: int) -> SettledScene:
+        asked.append(most)
+        return SettledScene(scene=before, restless=frozenset())
+
+    retried(shifted(seen, {0: -FAR[0], 1: FAR[1]}), NO_ROUND, aligned=seen, parted=seen, held=held)
+    assert asked == [most]
 
 
 def test_what_lies_elsewhere_at_last_is_told():

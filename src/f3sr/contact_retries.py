@@ -132,7 +132,7 @@ class ContactRetries:
         if placed is scene:
             return None
         is_held = bool(newly_fixed(scene, placed, may_hold))
-        if self._fallen_from(placed, may_hold) if is_held else _fallen(start, retry.before, may_hold):
+        if self._fallen_from(scene, placed, may_hold) if is_held else _fallen(start, retry.before, may_hold):
             found = self._with_fallen_held(scene, seek(scene) if is_held else placed, seek, may_hold, most)
             placed = placed if found is scene else found
         if not newly_fixed(scene, placed, may_hold):
@@ -143,11 +143,11 @@ class ContactRetries:
     def _with_fallen_held(
         self, scene: Scene, placed: Scene, seek: Callable[[Scene], Scene], may_hold: Collection[int], most: int
     ) -> Scene:
-        """The scene in balance with objects fixed that physics moves away from there, one by one the lowest of those
-        that fall; ``placed`` is its equilibrium without. The scene as it is where more than ``most`` would be fixed."""
+        """The scene in balance with objects fixed that come to rest far from where it has them, one by one the lowest
+        of them; ``placed`` is its equilibrium without. The scene as it is where more than ``most`` would be fixed."""
         free = scene
         for left in range(most, -1, -1):
-            fallen = self._fallen_from(placed, may_hold)
+            fallen = self._fallen_from(scene, placed, may_hold)
             lowest = next((id for id in scene.supports_first if id in fallen), None)
             if lowest is None:
                 return placed
@@ -166,13 +166,14 @@ class ContactRetries:
             if not others:
                 break
             there = seek(scene.with_objects(*(scene[k].on_something_unseen() for k in others)))
-            if not self._fallen_from(there, may_hold):
+            if not self._fallen_from(scene, there, may_hold):
                 held, placed = others, there
         return placed
 
-    def _fallen_from(self, placed: Scene, ids: Collection[int]) -> frozenset[int]:
-        """Those of some objects that physics moves far from where they are."""
-        return _fallen(placed, self._at_rest(placed).scene, ids)
+    def _fallen_from(self, scene: Scene, placed: Scene, ids: Collection[int]) -> frozenset[int]:
+        """Those of some objects that rest far from where the scene has them, once physics starts where they are
+        ``placed``: an equilibrium may itself be far from there."""
+        return _fallen(scene, self._at_rest(placed).scene, ids)
 
     def rebalanced(self, before: Scene, moving: frozenset[int], *, finished: Callable[[Scene], Scene]) -> SettledScene:
         """Move objects with other parts to their nearest equilibrium; frictions stay. None is closed or put back.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -101,20 +102,23 @@ class ObjectFit:
 
         All shifts are compared at once: what a silhouette costs is its correlation with what each pixel costs. Of an
         object that others hide in part, centroid and area tell little: what is hidden changes with the shift."""
+        import scipy.fft
+
+        fft: Any = scipy.fft  # its annotations know no arrays
         reach = self.freedom.reach
         h, w = self.target.mask.shape
-        padded = (2 * h, 2 * w)
+        padded = (fft.next_fast_len(2 * h, real=True), fft.next_fast_len(2 * w, real=True))
         cost, shown = np.full(padded, OUTSIDE, np.float32), np.zeros(padded, np.float32)
         cost[:h, :w] = self.target.fields.mismatch
-        costs_of = np.fft.rfft2(cost)
-        y, x = np.ix_(*(np.fft.fftfreq(n, 1 / n) for n in padded))
+        costs_of = fft.rfft2(cost)
+        y, x = np.ix_(*(fft.fftfreq(n, 1 / n) for n in padded))
         to_u = np.linalg.inv(self._pixels_per_shift()) / reach[:2, None]
         shifts = [of_x * x + of_y * y for of_x, of_y in to_u]
         is_far = (np.abs(y) >= h) | (np.abs(x) >= w)
 
         def shifted(u: Array) -> Array:
             shown[:h, :w] = self.silhouette(u)
-            costs = np.fft.irfft2(costs_of * np.fft.rfft2(shown).conj(), s=padded)
+            costs = fft.irfft2(costs_of * fft.rfft2(shown).conj(), s=padded)
             ends = [at + shift for at, shift in zip(u[:2], shifts, strict=True)]
             costs[is_far | (np.abs(ends[0]) > 1) | (np.abs(ends[1]) > 1)] = np.inf
             least = costs.argmin()
