@@ -18,10 +18,11 @@ from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.runtime import scene_serialization
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.scene_package.scene_json import SceneGraphRecord
-from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate
+from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate, unseen
 from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC
+from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.nodes import colours, place
-from f3sr.stages.relate.supports import likelihood
+from f3sr.stages.relate.supports import SupportFit, likelihood
 from f3sr.vision import rasterizer
 from f3sr.vision.rasterizer import visible_ids
 from scenes import box
@@ -259,6 +260,17 @@ def test_what_floats_a_little_or_is_not_well_measured_comes_down(scene: Scene, i
     assert related[1].supported_by == GROUND
     told = [d for d in outcome.decisions if d.fallback]
     assert [d.about for d in told] == [1] * is_told and all("3.0% noise" in d.reason for d in told)
+
+
+def test_what_is_deep_in_something_does_not_hang_however_unlikely_that_carries_it():
+    scene = hanging(0.4)
+    known = Known.of(scene, RelateConfig())
+
+    def how(now: float) -> unseen.Hanging | None:
+        fit = SupportFit(k=0.9, gap=0.0, overlap=1.0, cost=9.0, now=now)
+        return unseen.hanging(scene[1], [Candidate(child=1, parent=0, cost=9.0, evidence="", contact=fit)], known)
+
+    assert how(0.05) is not None and how(-0.05) is None
 
 
 # --- laws -----------------------------------------------------------------------------------------------------

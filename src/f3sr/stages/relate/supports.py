@@ -47,6 +47,11 @@ class Candidate:
     evidence: str
     contact: SupportFit = SupportFit(k=1.0, gap=0.0, overlap=1.0, cost=0.0, now=None)
 
+    @property
+    def is_deep(self) -> bool:
+        """Whether the child is in it where it is."""
+        return self.contact.now is not None and self.contact.now < 0
+
 
 def candidates(o: SceneObject, known: Known) -> list[Candidate]:
     """All supports of one object that geometry allows, judged by geometry and by the photo; the ground always."""

@@ -28,9 +28,10 @@ def hanging(o: SceneObject, found: Sequence[Candidate], known: Known) -> Hanging
     """How an object hangs in the air; None where it does not.
 
     Generated poses can be far off: only where the photo's own geometry agrees with the object's depth is it believed.
+    What is deep in something does not hang, however unlikely it is to rest on that.
     """
     config, mine = known.config, known.surfaces[o.id]
-    if any(c.parent != GROUND and c.cost < config.unseen_cost for c in found):
+    if any(c.parent != GROUND and (c.cost < config.unseen_cost or c.is_deep) for c in found):
         return None
     height, eye = mine.lowest, known.plan.eye
     farther = height / (eye - height) if eye > height else np.inf
