@@ -17,6 +17,7 @@ import damping
 import scan_things
 import stress
 import stress_judged as judged
+import stress_scenes
 import stress_things as things
 from f3sr import pipeline
 from f3sr.contact import compounds
@@ -163,13 +164,20 @@ def test_places_of_scattered_scans_are_apart() -> None:
 
 
 def test_bounds_are_told_by_measure() -> None:
-    row = dict.fromkeys(stress.BOUNDS, 0) | {"left_scene": [], "unnamed": []}
+    row = dict.fromkeys(stress.BOUNDS, 0) | {"left_scene": [], "unnamed": [], "fixed": 0}
     assert list(stress.misses("a", row)) == []
     assert [line.split()[1] for line in stress.misses("a", row | {"unnamed": [[1, 2]], "gap_pct": 3.0})] == [
         "gap_pct",
         "unnamed",
     ]
+    assert list(stress.misses("a", row | {"gap_pct": 3.0, "fixed": 1})) == []
     assert "FAILED" in next(stress.misses("a", {"failed": "killed"}))
+
+
+def test_what_carries_most_may_be_missed() -> None:
+    assert stress_scenes.most_carrying([0, 1, 2], [(1, 0), (2, 0), (2, 1), (0, -1), (3, 1)]) == 0
+    assert stress_scenes.most_carrying([1, 2], [(1, 0), (2, 0), (2, 1)]) == 1
+    assert stress_scenes.most_carrying([0], [(0, -1)]) is None
 
 
 def test_containers_are_held_against_their_baseline() -> None:
