@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from f3sr.core.camera import Camera
@@ -35,3 +37,11 @@ def test_a_window_holds_mask_and_render_with_a_margin() -> None:
     room = np.minimum(pixels.min(0), [window.width, window.height] - pixels.max(0)).min()
     assert room >= MARGIN * longest / (1 + 2 * MARGIN) - 1
     assert sampled(scene[0].mask, scene.camera, window, fill=False).sum() == scene[0].mask.sum()
+
+
+def test_an_object_without_a_pixel_in_its_mask_has_the_window_of_its_render() -> None:
+    scene = scene_of(box(0, at=(0.2, 0, 0.3)))
+    unseen = replace(scene[0], mask=np.zeros_like(scene[0].mask))
+    window = window_around(unseen, scene.camera, 512)
+    pixels, _ = window.project(unseen.vertices_world)
+    assert (pixels > 0).all() and (pixels < [window.width, window.height]).all()

@@ -267,6 +267,14 @@ def test_what_is_struck_is_not_lifted_by_that(tmp_path: Path, speed: float) -> N
     assert rise[True] < rise[False] / 3
 
 
+def test_what_lies_on_ice_is_pushed_all_the_same(tmp_path: Path) -> None:
+    scene = replace(goal_scene(), objects=(replace(goal_scene()[BLOCK], friction=0.0),))
+    package = goal_package(tmp_path / "package", replace(scene, ground=replace(scene.ground, friction=0.0)))
+    found = played(package, "push the block 5 cm to the left")
+    moved = way(found, BLOCK, package.scene)[:, 0]
+    assert moved[-1] - moved[0] < -0.05
+
+
 def test_turning_has_a_limit(package: Package) -> None:
     phase, scene = played(package, "roll the ball to the left").plan.phases[0], package.scene
     most = 2 * limits_of(scene).speed / 0.032

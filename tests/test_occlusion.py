@@ -11,7 +11,7 @@ from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, comparable_region, nearer_objects, occluders, visible_region
-from f3sr.vision.regions import shrunk
+from f3sr.vision.regions import parts_alike, shrunk
 from folders import photographed
 from scenes import box, box_mesh, scene_of
 
@@ -197,3 +197,10 @@ def test_what_hides_an_object_is_found_anew_for_other_masks_cameras_and_geometri
     flat = replace(geometry, points=geometry.points / geometry.points[..., 2:].clip(1e-3))
     assert not hidden(geometry=flat).any()
     assert not np.array_equal(hidden(turn=np.pi / 2), again)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 4), (3, 4)])
+def test_nothing_has_no_parts(shape: tuple[int, int]):
+    """An object beside the photo has an empty window."""
+    found = parts_alike(np.zeros(shape, bool), np.zeros((*shape, 3)), 0.5)
+    assert found.shape == shape and not found.any()

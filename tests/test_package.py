@@ -910,6 +910,18 @@ def part_elsewhere(out: Path) -> None:
     (out / "collision/00/00.obj").write_text(moved)
 
 
+def part_of(*size: float) -> Callable[[Path], None]:
+    """A box of that size [m] for the first part."""
+
+    def change(out: Path) -> None:
+        part = box_mesh(size).hull
+        lines = [f"v {x} {y} {z}" for x, y, z in part.vertices.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (part.faces + 1).tolist()]
+        (out / "collision/00/00.obj").write_text("\n".join(lines) + "\n")
+
+    return change
+
+
 LARGE = 3_000_000_000
 FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "scene.json of 3 GB": (of_bytes("scene.json", LARGE), r"scene\.json: found 3,000,000,000 bytes"),
@@ -928,6 +940,9 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a mesh of 17 km": (of_another_size(1e5), "object 0 of 1.73e[+]04 m"),
     "a mesh far smaller than its mass": (of_another_size(0.3), "mass of 0.001 m3|away from its mesh"),
     "a part away from its mesh": (part_elsewhere, "collision parts away from its mesh"),
+    "a part that is a sheet": (part_of(0.1, 0.1, 1e-10), r"00\.obj: found a part thinner than single"),
+    "a part that is a needle": (part_of(1e-6, 0.1, 1e-6), r"00\.obj: found a part thinner than single"),
+    "a part of half its mesh": (part_of(0.1, 0.1, 0.05), "do not reach its mesh's bounds"),
 }  # fmt: skip
 
 

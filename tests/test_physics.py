@@ -103,6 +103,13 @@ def test_a_raw_gap_shows_in_the_release() -> None:
     assert K_max > 1e-3 and D_max == pytest.approx(0.001 - TWO_MARGINS, abs=3e-4)
 
 
+def test_a_needle_too_light_for_the_engine_s_inertia_is_released() -> None:
+    needle = box(0, size=(0.1, 5e-5, 5e-5), at=(0, 0, 2.5e-5 + 2.6e-4))
+    assert np.linalg.eigvalsh(body_of(needle).inertia)[0] >= MIN_MOMENT
+    K_max, D_max = release([needle], seconds=0.2)
+    assert K_max < 1e-6 and D_max < 1e-3
+
+
 def test_a_box_over_an_edge_falls() -> None:
     shelf = replace(box(0), mobility="fixed")
     result = settle([shelf, box(1, at=(0.07, 0, 0.15))])

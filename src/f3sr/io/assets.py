@@ -23,8 +23,8 @@ MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
 MIN_FILL = 1e-7
 """Smallest volume of a mesh's hull, in cubes of its diagonal: a thread of 1 m that is .3 mm thick."""
-THIN = 1e-4
-"""Spread of vertices, in diagonals, from which on a mesh surely has a hull."""
+THIN = 1e-3
+"""Spread of vertices, in diagonals, from which on a mesh surely has a hull of ``MIN_FILL``."""
 MAX_FOLDS = 200.0
 """Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3. Hundreds
 of layers are no object, and the memory for its penetration grows with its area."""
@@ -105,7 +105,6 @@ def require_assets(
     require_total(place, [a.mesh for a in assets.values()])
     for id, asset in assets.items():
         require_size(asset.source, masks[id], asset)
-        _require_thickness(asset.source, masks[id], asset.mesh)
         _describe(folder, id, asset.mesh)
 
 
@@ -155,12 +154,14 @@ def usable_mesh(folder: InputFolder, where: Path | str, id: int, mesh: Mesh) -> 
 
 
 def require_solidity(path: Path | str, mesh: Mesh) -> None:
-    """Raises InputError for a mesh that spans no volume, or whose triangles have no or an absurd total area."""
+    """Raises InputError for a mesh that spans no or hardly any volume, or whose triangles have no or an absurd area."""
     accepted = "a mesh that spans a volume"
     try:
-        _ = mesh.hull if _is_thin(mesh) else None
+        filled = mesh.hull.volume / mesh.diagonal**3 if _is_thin(mesh) else 1.0
     except ValueError as error:
         raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
+    if filled < MIN_FILL:
+        raise InputError(path, found="a mesh thinner than single precision can tell", accepted=accepted)
     areas = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1)
     folds = float(areas.sum() / 2) / mesh.diagonal**2
     if not folds:
@@ -176,12 +177,6 @@ def _is_thin(mesh: Mesh) -> bool:
     # Variances along the principal axes, least first: the square root is a standard deviation.
     spread = np.linalg.eigvalsh(away.T @ away / len(away))
     return bool(spread[0] <= (THIN * mesh.diagonal) ** 2)
-
-
-def _require_thickness(path: Path | str, mask: str, mesh: Mesh) -> None:
-    if mesh.hull.volume < MIN_FILL * mesh.diagonal**3:
-        found = f"a mesh for {mask} thinner than single precision can tell"
-        raise InputError(path, found=found, accepted="a mesh that spans a volume")
 
 
 def _describe(folder: InputFolder, id: int, mesh: Mesh) -> None:

@@ -30,6 +30,8 @@ from f3sr.launches.ballistics import height_speed
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GRAVITY, GROUND
 
+SLIPPERY = 0.01
+"""Least coefficient of friction that a launch is planned with: ice on ice has .02."""
 RAMP = 0.1
 """How long a push takes to bring something to its pace [s]: a step of velocity would lift it (see ``BLOW``)."""
 BLOW = 0.02
@@ -145,8 +147,9 @@ class LaunchContext:
 
     @cached_property
     def drag(self) -> float:
-        """Deceleration by friction on level ground [m/s2]: mu g."""
-        return self.layout.friction(self.active) * GRAVITY
+        """Deceleration by friction on level ground [m/s2]: mu g. On ice launches are planned with a little more: no
+        push ends there."""
+        return max(self.layout.friction(self.active), SLIPPERY) * GRAVITY
 
     @cached_property
     def pool(self) -> Cavity | None:

@@ -12,6 +12,7 @@ from f3sr.core.transforms import Array, pose
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import (
     DEFAULT_PHYSICS,
+    LEAST_MOMENT,
     MjData,
     MjModel,
     MjSpec,
@@ -93,6 +94,7 @@ def release_spec(objects: Sequence[SceneObject], *, true_scale: float = 1.0, cen
     Euler's steps turn it about its body's origin."""
     mujoco = engine()
     spec = empty_spec(RELEASE_PHYSICS, ground_friction=RELEASE_FRICTION[0])
+    spec.compiler.boundinertia = LEAST_MOMENT  # of grains and needles, as MuJoCo takes none smaller
     for o in sorted(objects, key=lambda o: o.mask_name):
         name = body_name(o.id)
         origin = true_scale * o.middle if centred else np.zeros(3)

@@ -23,7 +23,14 @@ from f3sr.exporters.glb import Glb
 from f3sr.exporters.mjcf import Mjcf
 from f3sr.exporters.protocol import Exporter
 from f3sr.files import npz, strict_json
-from f3sr.files.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
+from f3sr.files.bounds import (
+    MAX_OBJECT,
+    MAX_PART_BYTES,
+    MAX_SCENE_BYTES,
+    MAX_SIZES_AWAY,
+    MIN_OBJECT,
+    MIN_VOLUME,
+)
 from f3sr.io.assets import require_solidity, require_total
 from f3sr.io.gltf_writer import encode_pngs, mesh_to_glb
 from f3sr.io.images import as_rgb, encode_png, open_image
@@ -374,12 +381,24 @@ def faults(o: SceneObject, camera: Camera) -> Iterator[str]:
     low, high = o.mesh.bounds + np.array([[-1], [1]]) * o.mesh.diagonal
     if not all((low <= p.vertices).all() and (p.vertices <= high).all() for p in o.colliders):
         yield "with collision parts away from its mesh; accepted: parts that cover it"
+        return
+    if o.colliders and not _covers(o):
+        yield "with collision parts that do not reach its mesh's bounds; accepted: parts that cover it"
+    if (least := min((p.volume * o.scale**3 for p in o.colliders), default=np.inf)) < MIN_VOLUME:
+        yield f"with a collision part of {least:.3g} m3; accepted: at least {MIN_VOLUME:g} m3"
     if o.solid is None:
         return
     if not ((low <= o.solid.center) & (o.solid.center <= high)).all():
         yield "with a center_of_mass away from its mesh; accepted: one within it"
     if o.solid.volume > o.mesh.diagonal**3:
         yield f"with a mass of {o.solid.volume:.3g} m3; accepted: at most {o.mesh.diagonal**3:.3g} m3 of its density"
+
+
+def _covers(o: SceneObject) -> bool:
+    """Whether the colliders together reach as far as the mesh, but for ``SHORT``."""
+    low, high = (np.array([f(p.vertices, axis=0) for p in o.colliders]) for f in (np.min, np.max))
+    short = np.array([low.min(0) - o.mesh.bounds[0], o.mesh.bounds[1] - high.max(0)])
+    return bool((short <= SHORT * o.mesh.diagonal).all())
 
 
 def _read_object(
@@ -453,6 +472,10 @@ def _read_mesh(folder: Path, path: str) -> Mesh:
     return mesh
 
 
+SHORT = 0.05
+"""Of its mesh's diagonal, what an object's collision parts may lack of its bounds: ours lack nothing."""
+THIN_PART = 1e-8
+"""Least volume of a part, in cubes of its diagonal: thinner ones have no hull in single precision."""
 DENT = 1e-4
 """Largest share of its hull's volume that a part may lack, by rounding, to count as convex."""
 
@@ -462,6 +485,8 @@ def _read_part(folder: Path, path: str) -> ConvexPart:
     mesh = load_part(inside(folder, path), max_bytes=MAX_PART_BYTES)
     try:
         part, hull = ConvexPart(vertices=mesh.vertices, faces=mesh.faces), mesh.hull
+        if hull.volume < THIN_PART * mesh.diagonal**3:
+            raise ValueError("a part thinner than single precision can tell")
         return part if abs(part.volume - hull.volume) <= DENT * hull.volume else hull
     except ValueError as error:
         raise InputError(folder / path, found=str(error), accepted="a convex part with a volume") from None

@@ -21,10 +21,11 @@ def window_around(o: SceneObject, camera: Camera, resolution: int) -> Camera:
     It may reach beyond the photo, but by no more than the photo's size. The object lies in front of the camera.
     """
     pixels, _ = camera.project(o.vertices_world)
-    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
-    # Pixel edges: the last pixel of the mask ends one after its index.
-    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
-    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
+    low, high = pixels.min(0), pixels.max(0)
+    if o.mask.any():
+        rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
+        # Pixel edges: the last pixel of the mask ends one after its index.
+        low, high = np.minimum(low, [columns[0], rows[0]]), np.maximum(high, [columns[-1] + 1, rows[-1] + 1])
     limit = np.array([camera.width, camera.height])
     low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
     margin = MARGIN * (high - low).max()

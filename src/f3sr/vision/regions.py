@@ -144,14 +144,14 @@ def parts_alike(mask: Mask, unit: NDArray[Any], least: float) -> NDArray[np.int3
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    place = np.full(mask.shape, -1, np.int32)
-    place[mask] = np.arange(np.count_nonzero(mask))
+    place, count = np.full(mask.shape, -1, np.int32), np.count_nonzero(mask)
+    place[mask] = np.arange(count)
     pairs = list[NDArray[np.int32]]()
     for a, b in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         joined = mask[a] & mask[b] & ((unit[a] * unit[b]).sum(-1) > least)
         pairs.append(np.stack([place[a][joined], place[b][joined]]))
     rows, columns = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(len(rows), np.bool_), (rows, columns)), shape=(place.max() + 1,) * 2)
+    graph = coo_array((np.ones(len(rows), np.bool_), (rows, columns)), shape=(count, count))
     parts = np.zeros(mask.shape, np.int32)
-    parts[mask] = 1 + connected_components(graph, directed=False)[1] if mask.any() else 0
+    parts[mask] = 1 + connected_components(graph, directed=False)[1] if count else 0
     return parts
