@@ -19,6 +19,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.edits import EditSession, edit_of, write_edited
 from f3sr.errors import InputError, OutputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
@@ -27,14 +28,19 @@ from f3sr.film.moments import FEWEST, MOST
 from f3sr.film.player import LARGEST_REST
 from f3sr.film.slow_motion import factor, finer, rate_of
 from f3sr.film.strip import Title, strip
+from f3sr.film.studio import FilmFrames, Studio
 from f3sr.film.timeline import pairs_of
 from f3sr.film.video import BT709, even, yuv420
 from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
 from f3sr.scene import GROUND
+from f3sr.scene_package.package import read_package, write_package
+from f3sr.vision import rasterizer
+from f3sr.vision.regions import grown
 from film_scene import film_files, given, unlit
 from goal_scene import BLOCK, LID
 from plans import changed
+from resting_boxes import resting_boxes
 
 av = pytest.importorskip("av")
 HOSTILE = "</script><img src=x onerror=alert(1)>\"' \u2028\u202e\0" + "9" * 10_000
@@ -424,3 +430,30 @@ def test_what_rests_touches_in_every_frame_but_the_first() -> None:
     found = {(p.a, p.b): p.forces for p in pairs_of(given().played.rollout)}
     block, lid = found[GROUND, BLOCK], found[BLOCK, LID]
     assert block[0] == 0 and (block[1:] > 0).all() and (lid[1:] > 0).all()
+
+
+# --- edited packages ------------------------------------------------------------------------------------------------
+
+
+def test_a_film_shows_what_edits_made_of_the_photo(tmp_path: Path):
+    """One box moved and one deleted, neither of which moves in the film. All boxes are brighter than the ground."""
+    dark = resting_boxes(tmp_path / "table").scene
+    shown = np.any([o.mask for o in dark], axis=0)[..., None]
+    bright = replace(dark, photo=replace(dark.photo, rgb=np.where(shown, 220, 90).repeat(3, 2).astype(np.uint8)))
+    package = read_package(write_package(bright, tmp_path / "bright"))
+    moved, gone = package.scene[2], package.scene[3]
+    session = EditSession(package)
+    session.add(edit_of({"kind": "delete", "id": gone.id, "label": gone.label}))
+    session.add(edit_of({"kind": "move", "id": moved.id, "label": moved.label, "by": [0.1, 0, 0]}))
+    studio = Studio.of(read_package(write_edited(session, tmp_path / "edited")))
+    assert [o.id for o, is_edited in zip(studio.scene, studio.edited, strict=True) if is_edited] == [moved.id]
+    assert any("object 2: drawn where edits moved it" in line for line in studio.told)
+    assert not Studio.of(package).edited.any()
+    rest = np.array([o.T_world_object for o in studio.scene])
+    frame = FilmFrames(studio, np.zeros(len(rest), np.bool_)).draw(rest)
+    now = rasterizer.visible_ids(studio.scene.objects, studio.scene.camera)
+    for o in (moved, gone):
+        left = o.mask & ~grown(now >= 0, 4)
+        assert left.sum() > 20 and frame[left].max() < 150, o.label
+    assert np.median(frame[now == moved.id]) > 150
+    assert np.array_equal(frame[package.scene[1].mask], package.scene.photo.rgb[package.scene[1].mask])

@@ -20,9 +20,13 @@ from f3sr.film.deadband import Held
 from f3sr.io.images import resized
 from f3sr.play.goal_loop import Played
 from f3sr.rendering import RenderConfig, Renderer
-from f3sr.scene import Photo, Scene, SceneObject
-from f3sr.scene_package.package import Package
+from f3sr.rendering.ground import APART
+from f3sr.scene import Photo, Scene, SceneObject, names_of
+from f3sr.scene_package.package import Package, inside, read_package
+from f3sr.scene_package.package_folder import EDITS, UNEDITED
 from f3sr.settings import settings
+from f3sr.vision.regions import grown
+from f3sr.vision.silhouette import union_of
 
 STANDS = 0.01
 """Height above the support plane up to which an object counts as on it [m]."""
@@ -68,6 +72,8 @@ class Studio:
     config: FilmConfig
     told: tuple[str, ...]
     """Decisions for the user that hold for every film."""
+    edited: NDArray[np.bool_]
+    """(N,) which objects are not where the photo shows them: they are drawn from the first frame on."""
 
     @classmethod
     def of(cls, package: Package, config: FilmConfig | None = None) -> Self:
@@ -82,8 +88,12 @@ class Studio:
         width, height = scene.camera.width, scene.camera.height
         if (width, height) != (package.scene.camera.width, package.scene.camera.height):
             told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
+        edited = moved_since(shown.before, scene, config.nudged)
+        if edited.any():
+            ids = [o.id for o, is_edited in zip(scene, edited, strict=True) if is_edited]
+            told += (f"{names_of(ids)}: drawn where edits moved {'it' if len(ids) == 1 else 'them'}",)
         renderer = Renderer.of(scene, shown.background, config=config.render, kept=shown.kept)
-        return cls(scene, renderer, config, (*told, *renderer.decisions))
+        return cls(scene, renderer, config, (*told, *renderer.decisions), edited)
 
     def film(self, played: Played) -> Filmed:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
@@ -120,6 +130,31 @@ class Studio:
                 yield f"{name} ends beyond the edge of its support in the photo: in physics the ground has no edge"
 
 
+def unedited_scene(package: Package) -> Scene:
+    """The scene that the photo shows: that of the package before all edits. Raises InputError."""
+    is_edited = (package.folder / EDITS).is_file()
+    return read_package(inside(package.folder, UNEDITED)).scene if is_edited else package.scene
+
+
+def moved_since(before: Scene, scene: Scene, nudged: float) -> NDArray[np.bool_]:
+    """(N,) which objects of a scene moved by more than ``nudged`` [px] in the picture since an earlier one."""
+    there = scene.with_objects(*(replace(o, T_world_object=before[o.id].T_world_object) for o in scene))
+    was, now = (np.array([o.T_world_object for o in s]) for s in (there, scene))
+    scaled = np.array([o.scale != before[o.id].scale for o in scene])
+    return (Held(there, nudged)(now) != was).any((1, 2)) | scaled
+
+
+def without_deleted(scene: Scene, before: Scene, background: NDArray[np.uint8]) -> Scene:
+    """The scene whose photo shows the ``background`` (h, w, 3) instead of what is no longer in it."""
+    (height, width), ids = background.shape[:2], {o.id for o in scene}
+    gone = union_of([resample(o.mask, width, height) for o in before if o.id not in ids], (height, width))
+    if not gone.any():
+        return scene
+    others = union_of([o.mask for o in scene], (height, width))
+    hidden = (grown(gone, APART) & ~others)[..., None]
+    return replace(scene, photo=replace(scene.photo, rgb=np.where(hidden, background, scene.photo.rgb)))
+
+
 class FilmFrames:
     """The frames of one film, drawn in their order: an object keeps the photo's pixels until it first moves."""
 
@@ -128,7 +163,7 @@ class FilmFrames:
         self._studio, self._moving = studio, moving
         self._rest = np.array([o.T_world_object for o in studio.scene])
         self._held = Held(studio.scene, studio.config.still)
-        self._departed = np.zeros(len(moving), np.bool_)
+        self._departed = studio.edited
         self._drawn = self._beside(self._departed)
 
     def draw(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -159,6 +194,8 @@ class PackagePictures:
     completed photo (h, w, 3), and the depth (h, w) [m] of its pixels that may hide objects."""
 
     scene: Scene
+    before: Scene
+    """As the photo shows it: before all edits, at the photo's size."""
     background: NDArray[np.uint8]
     kept: NDArray[np.float32] | None
     told: tuple[str, ...]
@@ -167,20 +204,22 @@ class PackagePictures:
     @classmethod
     def of(cls, package: Package, longest: int) -> Self:
         """At most ``longest`` [px] wide or high. Raises InputError if a picture of the package is damaged."""
-        background, told = _background(package)
+        before = unedited_scene(package)
+        background, told = _background(package, before)
         support = package.support()
         if support is None:
             told += ("the package has no support.png: shadows fall on all below the horizon, near the objects",)
         scene = replace(package.scene, ground_mask=support)
         scene, background, kept = _limited(scene, background, package.kept_depth(), longest)
-        return cls(scene=scene, background=background, kept=kept, told=told)
+        scene = without_deleted(scene, before, background)
+        return cls(scene=scene, before=before, background=background, kept=kept, told=told)
 
 
-def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
+def _background(package: Package, before: Scene) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
     background = package.background()
     if background is not None:
         return background, ()
-    masks = [o.mask for o in package.scene]
+    masks = [o.mask for o in before]
     completed = complete_background(package.scene.photo, masks, support=package.support())
     reasons = tuple(d.reason for d in completed.decisions)
     return completed.rgb, ("the package has no background.png: completed anew", *reasons)
