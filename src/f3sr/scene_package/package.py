@@ -17,6 +17,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.pose_uncertainty import PoseUncertainty
+from f3sr.core.transforms import boxes_of
 from f3sr.errors import InputError, require_kind, require_path
 from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.glb import Glb
@@ -396,8 +397,8 @@ def faults(o: SceneObject, camera: Camera) -> Iterator[str]:
 
 def _covers(o: SceneObject) -> bool:
     """Whether the colliders together reach as far as the mesh, but for ``SHORT``."""
-    low, high = (np.array([f(p.vertices, axis=0) for p in o.colliders]) for f in (np.min, np.max))
-    short = np.array([low.min(0) - o.mesh.bounds[0], o.mesh.bounds[1] - high.max(0)])
+    boxes = boxes_of([p.vertices for p in o.colliders])
+    short = np.array([boxes[:, 0].min(0) - o.mesh.bounds[0], o.mesh.bounds[1] - boxes[:, 1].max(0)])
     return bool((short <= SHORT * o.mesh.diagonal).all())
 
 
