@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from f3sr.core.transforms import invert_pose
 from f3sr.io.mesh_files import load_mesh
 from f3sr.metrics import penetration
 from f3sr.physics.release import filling
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.scene_package.package import read_package
 from f3sr.vision.pictures import pictures_of
 
@@ -94,10 +94,10 @@ def fallen(scene: Scene, true: Mapping[str, Any], objects: Path) -> list[int]:
     return found
 
 
-def crossing_pairs(scene: Scene) -> list[tuple[int, int]]:
+def crossing_pairs(objects: Iterable[SceneObject]) -> list[tuple[int, int]]:
     """Pairs whose visual meshes pierce each other."""
-    found = penetration.penetration([(o.vertices_world, o.mesh.faces) for o in scene])
-    ids = [o.id for o in scene]
+    bodies = {o.id: (o.vertices_world, o.mesh.faces) for o in objects}
+    found, ids = penetration.penetration([*bodies.values()]), [*bodies]
     return [(ids[p.a], ids[p.b]) for p in found.pairs]
 
 

@@ -31,10 +31,11 @@ from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 from scene_views import USUAL, VIEWS, View, scene_name
+from stress_judged import crossing_pairs
 from stress_things import Item, Stage
 from tabletop import degrade, shapes
 from tabletop.degrade import Damage
-from tabletop.settle import settle
+from tabletop.settle import Rest, settle
 
 WIDTH, HEIGHT = 960, 720
 RAGGED, CORRELATED = 2.5, 6.0
@@ -71,11 +72,7 @@ def write(data: Path, case: Case) -> Path:
     for place in (folder / "masks", folder / "assets", data / "objects"):
         place.mkdir(parents=True, exist_ok=True)
     rng, view = np.random.default_rng([case.seed, *case.case.encode()]), VIEWS[case.view]
-    stage = numbered(CASES[case.case](rng))
-    edges = FINER if case.case.startswith("mixed") else FINE
-    meshes = [mesh_of(item, edges) for item in stage.items]
-    rest = settle(stage.items, seconds=stage.seconds)
-    everything = [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, rest.T_world_object, strict=True))]
+    stage, rest, everything = set_down(case.case, rng)
     camera = viewpoint(stage, everything, view)
     seen = rasterizer.visible_ids(everything, camera)
     shown = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= stage.seen]
@@ -89,7 +86,7 @@ def write(data: Path, case: Case) -> Path:
         write_geometry(folder, everything, camera, stage.damage, rng)
     write_assets(folder, kept, stage, everything, camera, stage.damage, case.seed)
     for new, k in enumerate(kept):
-        save_glb(meshes[k], data / "objects" / f"{case.name}_{new:02d}.glb")
+        save_glb(everything[k].mesh, data / "objects" / f"{case.name}_{new:02d}.glb")
     truth = truth_of(case, kept, stage.items, rest.T_world_object, camera)
     supports = [(a, b) for a, b in rest.supports if a in kept and (b in kept or b == -1)]
     index = {k: new for new, k in enumerate(kept)} | {-1: -1}
@@ -101,6 +98,20 @@ def write(data: Path, case: Case) -> Path:
     }
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     return folder
+
+
+def set_down(case: str, rng: np.random.Generator) -> tuple[Stage, Rest, list[SceneObject]]:
+    """A stage and its objects at rest, drawn anew while two that start in each other stay so: no scene is like that."""
+    while True:
+        stage = numbered(CASES[case](rng))
+        meshes = [mesh_of(item, FINER if case.startswith("mixed") else FINE) for item in stage.items]
+        rest = settle(stage.items, seconds=stage.seconds)
+        start, end = (
+            [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, poses, strict=True))]
+            for poses in ([item.T_start for item in stage.items], rest.T_world_object)
+        )
+        if not {*crossing_pairs(start)} & {*crossing_pairs(end)}:
+            return stage, rest, end
 
 
 def numbered(stage: Stage) -> Stage:
