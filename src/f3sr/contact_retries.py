@@ -58,13 +58,19 @@ class ContactRetries:
         """Align objects under contact; groups move that gain by it.
 
         They are separated, but for what is ``balanced``: with such objects all go to the nearest equilibrium, sought
-        from where they rest. Gaps are not closed there: it won nothing and took most of the time."""
+        from where they rest. A group that loses there is put back before physics. Gaps are not closed there: it won
+        nothing and took most of the time."""
         aligned, _ = align(before, self.config.align.under_contact(), only=ids)
         retry = Retry.of(before, aligned, ids, self._contact)
         if not retry.moving:
             return SettledScene(scene=before, restless=frozenset())
         if retry.moving & balanced:
-            rested = self._nearest_balance(retry.scene, self._costs(retry.scene), start=before)
+            placed = self._placed(retry.scene, self._costs(retry.scene), start=before)
+            there = SettledScene(scene=placed, restless=frozenset())
+            retry = retry.without_losers(there, self._contact, won_back=WON_BACK_BALANCED)
+            if not retry.moving:
+                return SettledScene(scene=before, restless=frozenset())
+            rested = self._on_best_footings(retry.scene)
             return self._ended(retry, rested, won_back=WON_BACK_BALANCED, closes=False)
         return self._ended(retry, self._separated(retry.scene))
 
@@ -181,7 +187,7 @@ class ContactRetries:
         ``finished`` gives the scene its last parts, where objects have their footings and before physics. No other
         equilibrium is sought: in seven scenes further ones changed no outcome, and they took half of the time."""
         retry = Retry.of_moving(before, before, moving)
-        rested = self._nearest_balance(retry.scene, self._costs(retry.scene), rougher=False, finished=finished)
+        rested = self._on_best_footings(self._placed(retry.scene, self._costs(retry.scene), rougher=False), finished)
         return retry.ended(rested, self._contact, settled=self._at_rest)
 
     @property
@@ -236,16 +242,25 @@ class ContactRetries:
         scene: Scene,
         costs: Mapping[int, Array],
         *,
-        rougher: bool = True,
-        finished: Callable[[Scene], Scene] = lambda scene: scene,
         apart: bool = False,
         start: Scene | None = None,
         descends: bool = False,
     ) -> SettledScene:
-        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings.
+        """Contact groups at rest near an equilibrium, each on the better of two kinds of footings."""
+        return self._on_best_footings(self._placed(scene, costs, apart=apart, start=start, descends=descends))
 
-        Guessed frictions may become ``rougher``."""
-        placed = balance(
+    def _placed(
+        self,
+        scene: Scene,
+        costs: Mapping[int, Array],
+        *,
+        rougher: bool = True,
+        apart: bool = False,
+        start: Scene | None = None,
+        descends: bool = False,
+    ) -> Scene:
+        """Contact groups in an equilibrium by statics alone. Guessed frictions may become ``rougher``."""
+        return balance(
             scene,
             costs,
             self._contact,
@@ -255,7 +270,6 @@ class ContactRetries:
             guessed=_guessed(scene) if rougher else [],
             descends=descends,
         )
-        return self._on_best_footings(placed, finished)
 
     def _on_best_footings(
         self, placed: Scene, finished: Callable[[Scene], Scene] = lambda scene: scene
