@@ -19,7 +19,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.background.inpainting import Inpainting
 from f3sr.edits import EditSession, edit_of, write_edited
+from f3sr.env.episode_pictures import EpisodePictures
 from f3sr.errors import InputError, OutputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
@@ -33,6 +35,9 @@ from f3sr.film.timeline import pairs_of
 from f3sr.film.video import BT709, even, yuv420
 from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
+from f3sr.rendering.canvas import Canvas
+from f3sr.rendering.light import Light
+from f3sr.rendering.renderer import Renderer
 from f3sr.scene import GROUND
 from f3sr.scene_package.package import read_package, write_package
 from f3sr.vision import rasterizer
@@ -446,7 +451,7 @@ def test_a_film_shows_what_edits_made_of_the_photo(tmp_path: Path):
     session.add(edit_of({"kind": "delete", "id": gone.id, "label": gone.label}))
     session.add(edit_of({"kind": "move", "id": moved.id, "label": moved.label, "by": [0.1, 0, 0]}))
     studio = Studio.of(read_package(write_edited(session, tmp_path / "edited")))
-    assert [o.id for o, is_edited in zip(studio.scene, studio.edited, strict=True) if is_edited] == [moved.id]
+    assert {o.id for o, is_edited in zip(studio.shown, studio.edited, strict=True) if is_edited} == {moved.id, gone.id}
     assert any("object 2: drawn where edits moved it" in line for line in studio.told)
     assert not Studio.of(package).edited.any()
     rest = np.array([o.T_world_object for o in studio.scene])
@@ -457,3 +462,42 @@ def test_a_film_shows_what_edits_made_of_the_photo(tmp_path: Path):
         assert left.sum() > 20 and frame[left].max() < 150, o.label
     assert np.median(frame[now == moved.id]) > 150
     assert np.array_equal(frame[package.scene[1].mask], package.scene.photo.rgb[package.scene[1].mask])
+
+
+def test_shadows_leave_with_what_edits_moved_or_deleted(tmp_path: Path):
+    """The photo is drawn in a light from the side, and its shadows are away in the completed photo."""
+    scene = resting_boxes(tmp_path / "table").scene
+    height, width = scene.camera.height, scene.camera.width
+    bare, rest = np.full((height, width, 3), 150, np.uint8), np.array([o.T_world_object for o in scene])
+    light = Light(direction=np.array([0.6, 0, 0.8]), angle=0.15, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
+    photo = Canvas(replace(Renderer.of(scene, bare).setting, light=light)).drawn(rest)
+    completed = Inpainting(
+        rgb=bare, support=np.ones((height, width), np.bool_), kept=np.full((height, width), np.inf, np.float32)
+    )
+    seen = replace(scene, photo=replace(scene.photo, rgb=photo))
+    package = read_package(write_package(seen, tmp_path / "lit", inpainting=completed))
+    session = EditSession(package)
+    for edit in ({"kind": "delete", "id": 3}, {"kind": "move", "id": 2, "by": [0.0, -0.25, 0.0]}):
+        session.add(edit_of({**edit, "label": package.scene[edit["id"]].label}))
+    edited = read_package(write_edited(session, tmp_path / "edited"))
+    studio = Studio.of(edited)
+    assert np.allclose(studio.renderer.setting.light.direction, Studio.of(package).renderer.setting.light.direction)
+    poses = np.array([o.T_world_object for o in studio.scene])
+    frame = FilmFrames(studio, np.zeros(len(poses), np.bool_)).draw(poses)
+    truth = Canvas(replace(Renderer.of(studio.scene, bare).setting, light=light)).drawn(poses)
+    ground = ~grown(rasterizer.visible_ids(scene.objects, scene.camera) >= 0, 4)
+    ground &= ~grown(rasterizer.visible_ids(studio.scene.objects, scene.camera) >= 0, 4)
+    left, come = (ground & (np.abs(a.astype(int) - b).max(2) > 12) for a, b in ((photo, bare), (truth, bare)))
+    left, come = left & ~come, come & ~left
+    assert left.sum() > 50 and come.sum() > 50
+    assert np.abs(frame[left].astype(int) - truth[left]).mean() < 8
+    off, without = (np.abs(picture[come].astype(int) - truth[come]).mean() for picture in (frame, bare))
+    assert off < 0.5 * without
+    episode = EpisodePictures(edited, max(height, width), None).drawn(poses, {})
+    assert np.abs(episode[left].astype(int) - truth[left]).mean() < 8
+
+
+def test_a_black_photo_tells_of_no_light(tmp_path: Path):
+    scene = resting_boxes(tmp_path / "table").scene
+    renderer = Renderer.of(scene, np.full((*scene.photo.rgb.shape[:2], 3), 150, np.uint8))
+    assert not scene.photo.rgb.any() and "no object can be compared" in renderer.decisions[0]

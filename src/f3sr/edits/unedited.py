@@ -22,7 +22,6 @@ from f3sr.scene_package.package_folder import (
     REPORT,
     SCENE,
     SUPPORT,
-    UNEDITED,
 )
 from f3sr.scene_package.scene_json import dump_json
 
@@ -58,10 +57,7 @@ class Unedited:
 
 def read_edited(folder: Path) -> tuple[Package, tuple[Edit, ...]]:
     """The package of a folder before all edits, and its edits. Raises InputError."""
-    package = read_package(folder)
-    if not (folder / EDITS).exists():
-        return package, ()
-    return read_package(inside(folder, UNEDITED)), kept_edits(folder)
+    return read_package(folder).unedited(), kept_edits(folder)
 
 
 def kept_edits(folder: Path) -> tuple[Edit, ...]:

@@ -13,7 +13,7 @@ from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.env.gripper import FINGERS, HAND, Block, GripperConfig, blocks
 from f3sr.env.resets import Randomization
-from f3sr.film.studio import PackagePictures
+from f3sr.film.studio import PackagePictures, with_deleted
 from f3sr.rendering.renderer import Renderer
 from f3sr.scene import Scene, SceneObject
 from f3sr.scene_package.package import Package
@@ -46,11 +46,11 @@ class EpisodePictures:
 
     @cached_property
     def _renderer(self) -> Renderer:
-        scene = self._shown.scene
-        free = max((o.id for o in scene), default=-1) + 1
+        shown = self._shown.shown
+        free = max((o.id for o in shown), default=-1) + 1
         own = blocks(self._gripper) if self._gripper else ()
-        parts = [_drawable(free + k, scene, block) for k, block in enumerate(own)]
-        return Renderer.of(scene, self._shown.background, kept=self._shown.kept, also=parts)
+        parts = [_drawable(free + k, shown, block) for k, block in enumerate(own)]
+        return Renderer.of(shown, self._shown.background, kept=self._shown.kept, also=parts)
 
     def vary(self, rng: np.random.Generator, config: Randomization) -> None:
         """Turn the light and move the camera as one reset draws; without, the photo's own."""
@@ -74,7 +74,8 @@ class EpisodePictures:
     def drawn(self, T_world_object: Array, gripper: Mapping[str, Array]) -> NDArray[np.uint8]:
         """(h, w, 3) with the objects at poses (N, 4, 4) and the gripper's bodies at theirs."""
         own = np.array([gripper[name] for name in self._names]).reshape(-1, 4, 4)
-        return (self._varied or self._renderer).frame(np.concatenate([T_world_object, own]))
+        objects = with_deleted(T_world_object, self._shown.scene, self._shown.shown)
+        return (self._varied or self._renderer).frame(np.concatenate([objects, own]))
 
 
 def _drawable(id: int, scene: Scene, block: Block) -> SceneObject:

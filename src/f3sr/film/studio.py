@@ -20,13 +20,10 @@ from f3sr.film.deadband import Held
 from f3sr.io.images import resized
 from f3sr.play.goal_loop import Played
 from f3sr.rendering import RenderConfig, Renderer
-from f3sr.rendering.ground import APART
+from f3sr.rendering.still_photo import vanished
 from f3sr.scene import Photo, Scene, SceneObject, names_of
-from f3sr.scene_package.package import Package, inside, read_package
-from f3sr.scene_package.package_folder import EDITS, UNEDITED
+from f3sr.scene_package.package import Package
 from f3sr.settings import settings
-from f3sr.vision.regions import grown
-from f3sr.vision.silhouette import union_of
 
 STANDS = 0.01
 """Height above the support plane up to which an object counts as on it [m]."""
@@ -68,12 +65,15 @@ class Studio:
 
     scene: Scene
     """The package's scene at the film's size."""
+    shown: Scene
+    """What the photo shows, as in ``PackagePictures``: N objects of the scene and D that edits deleted."""
     renderer: Renderer
+    """Of ``shown``."""
     config: FilmConfig
     told: tuple[str, ...]
     """Decisions for the user that hold for every film."""
     edited: NDArray[np.bool_]
-    """(N,) which objects are not where the photo shows them: they are drawn from the first frame on."""
+    """(N + D,) which objects are not where the photo shows them: they are drawn, or gone, from the first frame on."""
 
     @classmethod
     def of(cls, package: Package, config: FilmConfig | None = None) -> Self:
@@ -83,17 +83,19 @@ class Studio:
         """
         require_kind("package", package, Package, accepted="f3sr.read_package(...)")
         config = config or FilmConfig()
-        shown = PackagePictures.of(package, config.longest)
-        scene, told = shown.scene, shown.told
+        pictures = PackagePictures.of(package, config.longest)
+        scene, shown, told = pictures.scene, pictures.shown, pictures.told
         width, height = scene.camera.width, scene.camera.height
         if (width, height) != (package.scene.camera.width, package.scene.camera.height):
             told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
-        edited = moved_since(shown.before, scene, config.nudged)
-        if edited.any():
-            ids = [o.id for o, is_edited in zip(scene, edited, strict=True) if is_edited]
+        moved = moved_since(shown, scene, config.nudged) | pictures.scaled
+        if moved.any():
+            ids = [o.id for o, is_moved in zip(scene, moved, strict=True) if is_moved]
             told += (f"{names_of(ids)}: drawn where edits moved {'it' if len(ids) == 1 else 'them'}",)
-        renderer = Renderer.of(scene, shown.background, config=config.render, kept=shown.kept)
-        return cls(scene, renderer, config, (*told, *renderer.decisions), edited)
+        edited = ~left_of(shown, scene)
+        edited[~edited] = moved
+        renderer = Renderer.of(shown, pictures.background, config=config.render, kept=pictures.kept)
+        return cls(scene, shown, renderer, config, (*told, *renderer.decisions), edited)
 
     def film(self, played: Played) -> Filmed:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
@@ -130,29 +132,23 @@ class Studio:
                 yield f"{name} ends beyond the edge of its support in the photo: in physics the ground has no edge"
 
 
-def unedited_scene(package: Package) -> Scene:
-    """The scene that the photo shows: that of the package before all edits. Raises InputError."""
-    is_edited = (package.folder / EDITS).is_file()
-    return read_package(inside(package.folder, UNEDITED)).scene if is_edited else package.scene
+def as_photographed(scene: Scene, before: Scene) -> Scene:
+    """The scene with its objects where they were ``before`` all edits, and with those that edits deleted."""
+    there = {o.id: replace(o, T_world_object=before[o.id].T_world_object) for o in scene}
+    return replace(scene, objects=tuple(there.get(o.id, o) for o in before))
 
 
-def moved_since(before: Scene, scene: Scene, nudged: float) -> NDArray[np.bool_]:
-    """(N,) which objects of a scene moved by more than ``nudged`` [px] in the picture since an earlier one."""
-    there = scene.with_objects(*(replace(o, T_world_object=before[o.id].T_world_object) for o in scene))
+def left_of(shown: Scene, scene: Scene) -> NDArray[np.bool_]:
+    """(N + D,) which objects that the photo shows are left in a scene."""
+    ids = {o.id for o in scene}
+    return np.array([o.id in ids for o in shown], np.bool_)
+
+
+def moved_since(shown: Scene, scene: Scene, nudged: float) -> NDArray[np.bool_]:
+    """(N,) which objects of a scene are more than ``nudged`` [px] in the picture from where another one shows them."""
+    there = scene.with_objects(*(replace(o, T_world_object=shown[o.id].T_world_object) for o in scene))
     was, now = (np.array([o.T_world_object for o in s]) for s in (there, scene))
-    scaled = np.array([o.scale != before[o.id].scale for o in scene])
-    return (Held(there, nudged)(now) != was).any((1, 2)) | scaled
-
-
-def without_deleted(scene: Scene, before: Scene, background: NDArray[np.uint8]) -> Scene:
-    """The scene whose photo shows the ``background`` (h, w, 3) instead of what is no longer in it."""
-    (height, width), ids = background.shape[:2], {o.id for o in scene}
-    gone = union_of([resample(o.mask, width, height) for o in before if o.id not in ids], (height, width))
-    if not gone.any():
-        return scene
-    others = union_of([o.mask for o in scene], (height, width))
-    hidden = (grown(gone, APART) & ~others)[..., None]
-    return replace(scene, photo=replace(scene.photo, rgb=np.where(hidden, background, scene.photo.rgb)))
+    return (Held(there, nudged)(now) != was).any((1, 2))
 
 
 class FilmFrames:
@@ -160,8 +156,12 @@ class FilmFrames:
 
     def __init__(self, studio: Studio, moving: NDArray[np.bool_]) -> None:
         self.count = 0
-        self._studio, self._moving = studio, moving
-        self._rest = np.array([o.T_world_object for o in studio.scene])
+        self._studio = studio
+        self._moving = left_of(studio.shown, studio.scene)
+        self._moving[self._moving] = moving
+        rest = np.array([o.T_world_object for o in studio.scene]).reshape(-1, 4, 4)
+        shown = np.array([o.T_world_object for o in studio.shown]).reshape(-1, 4, 4)
+        self._rest = np.where(studio.edited[:, None, None], with_deleted(rest, studio.scene, studio.shown), shown)
         self._held = Held(studio.scene, studio.config.still)
         self._departed = studio.edited
         self._drawn = self._beside(self._departed)
@@ -169,15 +169,24 @@ class FilmFrames:
     def draw(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
         """The next frame, with the objects at ``poses`` (N, 4, 4)."""
         self.count += 1
-        now = np.where(self._moving[:, None, None], self._held(poses), self._rest)
+        held = with_deleted(self._held(poses), self._studio.scene, self._studio.shown)
+        now = np.where(self._moving[:, None, None], held, self._rest)
         departed = self._departed | (now != self._rest).any((1, 2))
         if (departed != self._departed).any():
             self._departed, self._drawn = departed, self._beside(departed)
         return self._drawn(now)
 
     def _beside(self, departed: NDArray[np.bool_]) -> Callable[[NDArray[np.float64]], NDArray[np.uint8]]:
-        still = self._studio.renderer.beside_photo(self._studio.scene, departed)
+        still = self._studio.renderer.beside_photo(self._studio.shown, departed)
         return self._studio.renderer.frame if still is None else still.frame
+
+
+def with_deleted(poses: NDArray[np.float64], scene: Scene, shown: Scene) -> NDArray[np.float64]:
+    """Poses (N + D, 4, 4) of what the photo shows: those of a scene's objects (N, 4, 4), and of what edits deleted,
+    which is not seen."""
+    found = vanished(np.array([o.T_world_object for o in shown]).reshape(-1, 4, 4))
+    found[left_of(shown, scene)] = poses
+    return found
 
 
 def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:
@@ -194,8 +203,10 @@ class PackagePictures:
     completed photo (h, w, 3), and the depth (h, w) [m] of its pixels that may hide objects."""
 
     scene: Scene
-    before: Scene
-    """As the photo shows it: before all edits, at the photo's size."""
+    shown: Scene
+    """The objects of ``scene`` where they were before all edits, and those that edits deleted."""
+    scaled: NDArray[np.bool_]
+    """(N,) which objects of ``scene`` have another size since."""
     background: NDArray[np.uint8]
     kept: NDArray[np.float32] | None
     told: tuple[str, ...]
@@ -204,15 +215,19 @@ class PackagePictures:
     @classmethod
     def of(cls, package: Package, longest: int) -> Self:
         """At most ``longest`` [px] wide or high. Raises InputError if a picture of the package is damaged."""
-        before = unedited_scene(package)
+        before = package.unedited().scene
         background, told = _background(package, before)
         support = package.support()
         if support is None:
             told += ("the package has no support.png: shadows fall on all below the horizon, near the objects",)
-        scene = replace(package.scene, ground_mask=support)
-        scene, background, kept = _limited(scene, background, package.kept_depth(), longest)
-        scene = without_deleted(scene, before, background)
-        return cls(scene=scene, before=before, background=background, kept=kept, told=told)
+        shown = replace(as_photographed(package.scene, before), ground_mask=support)
+        shown, background, kept = _limited(shown, background, package.kept_depth(), longest)
+        masks = {o.id: o.mask for o in shown}
+        objects = tuple(replace(o, mask=masks[o.id]) for o in package.scene)
+        sizes = ((before[o.id].mesh.bounds, o.mesh.bounds) for o in package.scene)
+        scaled = np.array([not np.array_equal(was, now) for was, now in sizes], np.bool_)
+        scene = replace(shown, objects=objects)
+        return cls(scene=scene, shown=shown, scaled=scaled, background=background, kept=kept, told=told)
 
 
 def _background(package: Package, before: Scene) -> tuple[NDArray[np.uint8], tuple[str, ...]]:

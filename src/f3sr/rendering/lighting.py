@@ -50,7 +50,7 @@ def lit_as_photo(
     if not config.light.enabled or not count:
         return UNLIT, unexposed, ()
     evidence = _evidence(scene, scene.photo.rgb if background is None else background, things, ball, config)
-    if not (evidence.group < count).any():
+    if not evidence.photo[evidence.group < count].any():  # nothing compared, or all of it black
         return UNLIT, unexposed, ("light: no object can be compared with the photo; shown without",)
     poses = np.array([o.T_world_object for o in scene.objects])
     casters = things.casting(poses, range(count)).disc

@@ -32,6 +32,13 @@ BLENDED = 0.3, 0.7
 """Between what moves and what rests, as a share of the way, where the photo's ground goes over into the completed."""
 
 
+def vanished(poses: Array) -> Array:
+    """Poses (n, 4, 4) at which objects are too small to be seen, and so are their shadows."""
+    small = poses.copy()
+    small[:, :3, :3] *= VANISHED
+    return small
+
+
 @dataclass(frozen=True, eq=False)
 class Continued:
     """How far the photo's colours are from those drawn of a resting object, spread over where the photo hides it.
@@ -73,7 +80,7 @@ class StillPhoto:
         poses = np.array([o.T_world_object for o in scene.objects]).reshape(-1, 4, 4)
         chosen = tuple(np.flatnonzero(moving).tolist())
         alone = poses.copy()
-        alone[list(chosen), :3, :3] *= VANISHED
+        alone[list(chosen)] = vanished(alone[list(chosen)])
         without = canvas.drawn(alone)
         sides = {k: canvas.sides(k) for k in range(len(poses)) if k not in chosen}
         at_rest = canvas.drawn(poses)

@@ -45,6 +45,7 @@ from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.scene_package.package_folder import (
     BACKGROUND,
+    EDITS,
     KEPT,
     MASKS,
     PAGE,
@@ -52,6 +53,7 @@ from f3sr.scene_package.package_folder import (
     REPORT,
     SCENE,
     SUPPORT,
+    UNEDITED,
     is_package,
     placed,
     prepare_output,
@@ -115,6 +117,11 @@ class Package:
         """How well the pose of every object is known, by id; without objects of which scene.json does not tell it."""
         known = ((o.id, o.uncertainty) for o in self.document.objects)
         return {id: PoseUncertainty(**record.model_dump()) for id, record in known if record}
+
+    def unedited(self) -> Package:
+        """The package before all edits: this one, or what its folder keeps. Raises InputError as ``load`` does."""
+        is_edited = (self.folder / EDITS).exists()
+        return read_package(inside(self.folder, UNEDITED)) if is_edited else self
 
     def mujoco(self) -> MujocoScene:
         """MuJoCo's model and data, at rest: to step it, ``mujoco.mj_step(play.model, play.data)``."""

@@ -11,7 +11,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.edits import EditSession, edit_of, edits_json, read_edits, write_edited
 from f3sr.edits.edit_list import Edit
-from f3sr.edits.unedited import read_edited
+from f3sr.edits.unedited import kept_edits
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.files import strict_json
 from f3sr.io.images import encode_png
@@ -51,7 +51,7 @@ class EditedScene:
         self._file = project.package / SCENE
         self._read = self._file.stat().st_mtime_ns
         package = read_package(project.package)
-        base, self._written = read_edited(project.package)
+        base, self._written = package.unedited(), kept_edits(project.package)
         given = read_edits(project.edits) if project.edits.exists() else self._written
         self._seconds = 0.0
         self._views = dict[bool, dict[str, Any]]()
