@@ -270,11 +270,24 @@ def _on_something_unseen(
         state, told = _held(was, tried, group, could_return - elsewhere(tried), apart)
         free -= len(newly_fixed(was.scene, state.scene, group))
         decisions += told
-    for id in sorted(elsewhere(state)):
-        reason = f"visible IoU {state.ious[id] - seen.ious[id]:+.2f}; contact leads it there"
-        choice = "is not as far away as the photo shows it"
-        decisions.append(Decision(choice=choice, reason=reason, about=id, fallback=True))
-    return state, decisions
+    return state, decisions + _not_as_far_as_seen(state, seen)
+
+
+def _not_as_far_as_seen(state: SettledScene, seen: SettledScene) -> list[Decision]:
+    """What is told of objects that lie elsewhere, also where the picture does not show it: what is farther away and
+    larger has the same outline."""
+    moved = depth_prior.moved_along_rays(seen.scene, state.scene)
+    far = {id: f"{off:.1f} standard deviations of its distance" for id, off in moved.items() if off > ELSEWHERE}
+    choice = "is not as far away as the photo shows it"
+    return [
+        Decision(
+            choice=choice,
+            reason=f"{far[id]}, visible IoU {state.ious[id] - seen.ious[id]:+.2f}; contact leads it there",
+            about=id,
+            fallback=True,
+        )
+        for id in far
+    ]
 
 
 def _most_held(state: SettledScene, seen: SettledScene) -> int:
