@@ -162,6 +162,17 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
 
 
+@pytest.mark.parametrize("degrees", [15, 30])
+def test_what_toppled_and_still_lies_is_told(degrees: float):
+    """But not where it came toppled already."""
+    seen = side_by_side()
+    tip = pose(rotation_about([1, 0, 0], np.radians(degrees)))
+    fallen = seen.with_objects(seen[2].moved(tip, stage="test", reason=""))
+    for parted, told in ((seen, [2] if degrees == 30 else []), (fallen, [])):
+        _, outcome = retried(fallen, NO_ROUND, aligned=seen, parted=parted)
+        assert [d.about for d in outcome.decisions if d.choice == "is not turned as the photo shows it"] == told
+
+
 def test_what_an_equilibrium_shows_where_it_was_seen_is_not_stood_up():
     """Boxes side by side; one of them toppled, and the search leads both back."""
     seen = side_by_side()

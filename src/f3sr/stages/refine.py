@@ -176,6 +176,8 @@ def refine(
     decisions += told
     state, told = _on_something_unseen(state, seen, retries, config)
     decisions += told
+    fell = [o.id for o in scene if parted[o.id].angle_to(o) > TOPPLE]
+    decisions += _not_turned_as_seen(state.scene, seen.scene, fell)
     decisions += [_told_of_friction(scene[o.id], o) for o in state.scene if o.friction != scene[o.id].friction]
     return state.scene, Refined(seen=(before, state.seen), restless=state.restless, decisions=tuple(decisions))
 
@@ -287,6 +289,20 @@ def _not_as_far_as_seen(state: SettledScene, seen: SettledScene) -> list[Decisio
             fallback=True,
         )
         for id in far
+    ]
+
+
+def _not_turned_as_seen(scene: Scene, seen: Scene, fell: Collection[int]) -> list[Decision]:
+    """What is told of objects that ``fell`` over and still lie so, as the photo may show it in no outline."""
+    turned = {id: turn for id in fell if (turn := seen[id].angle_to(scene[id])) > TOPPLE}
+    return [
+        Decision(
+            choice="is not turned as the photo shows it",
+            reason=f"toppled by {math.degrees(turn):.0f} degrees; what carries it may be hidden",
+            about=id,
+            fallback=True,
+        )
+        for id, turn in turned.items()
     ]
 
 
