@@ -156,7 +156,7 @@ class FilmFrames:
 
     def __init__(self, studio: Studio, moving: NDArray[np.bool_]) -> None:
         self.count = 0
-        self._studio = studio
+        self._studio, self._moves = studio, moving
         self._moving = left_of(studio.shown, studio.scene)
         self._moving[self._moving] = moving
         rest = np.array([o.T_world_object for o in studio.scene]).reshape(-1, 4, 4)
@@ -169,8 +169,8 @@ class FilmFrames:
     def draw(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
         """The next frame, with the objects at ``poses`` (N, 4, 4)."""
         self.count += 1
-        held = with_deleted(self._held(poses), self._studio.scene, self._studio.shown)
-        now = np.where(self._moving[:, None, None], held, self._rest)
+        now = self._rest.copy()
+        now[self._moving] = self._held(poses)[self._moves]
         departed = self._departed | (now != self._rest).any((1, 2))
         if (departed != self._departed).any():
             self._departed, self._drawn = departed, self._beside(departed)

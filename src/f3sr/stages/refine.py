@@ -54,9 +54,10 @@ UNSEEN = 0.2
 """Least visible IoU that a group gains, all its objects together, for each that is held as if something unseen carried
 it. In piles with hidden objects they gained .2 to 1.3. Of 21 scenes without, 19 lose .19 at most by contact."""
 ELSEWHERE = 6.0
-"""Standard deviations of its distance by which an object lies elsewhere than the photo shows it, if its visible IoU
-falls by ``HOPELESS`` too: a box that fell away from the camera, by 9 of them, kept .8 of it. Of 424 other objects in 56
-made scenes none was off by more than 4; real frames, with poor depth, have up to 12."""
+"""Standard deviations of its distance from which on a user is told that an object lies elsewhere than the photo shows
+it. It may be held only if its visible IoU falls by ``HOPELESS`` too: a box that fell away from the camera, by 9 of
+them, kept .8 of it. Of 424 other objects in 56 made scenes none was off by more than 4; real frames, with poor depth,
+have up to 12."""
 STANDS = 2.0
 """Standard deviations of its distance within which an object that rests on the ground shows that it is there."""
 NONE_HELD = "contact carries all, or too many would be fixed"
